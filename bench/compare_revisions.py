@@ -38,9 +38,9 @@ from bench.program import exit_code, output_file, parser_of
 from bench.revision_runner import STARTS
 from jax2d.fields import as_dict
 from jax2d.scene import Capacity, stack_worlds
+from kinetix_dist.benchmarks.engine_worlds import level_files, load_levels
 from kinetix_dist.benchmarks.growth_scenes import SCENES, capacity_of
-from kinetix_dist.benchmarks.level_files import level_files, load_levels
-from kinetix_dist.benchmarks.line_process import LineProcess, ProcessError
+from kinetix_dist.benchmarks.peer_process import LineProcess, ProcessError
 from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.level.level import SIZES
 
@@ -148,7 +148,7 @@ def time_interleaved(engines: list[Engine], request: Record, repeats: int, at_on
     for first in range(0, len(engines), at_once):
         group = engines[first : first + at_once]
         for engine in group:
-            engine.process.send("prepare", **request)
+            engine.process.send("prepare", request)
         for engine in group:
             try:
                 engine.prepared = engine.process.receive()
@@ -158,7 +158,7 @@ def time_interleaved(engines: list[Engine], request: Record, repeats: int, at_on
         for engine in engines:
             if engine.failed is None:
                 try:
-                    engine.seconds.append(engine.process.ask("run")["seconds"])
+                    engine.seconds.append(engine.process.call("run")["seconds"])
                 except ProcessError as error:
                     engine.failed = str(error)
 

@@ -1,4 +1,4 @@
-"""What the control plane of a run costs: starting so many processes, and the messages of one update to all of them.
+"""Cost of the control plane of a run: starting so many processes, and the messages of one update to all of them.
 
     python -m bench.control_plane --processes 4 16 64 --json runs/control_plane.json
     python -m bench.control_plane --processes 4 16 64 --learns                  # a dry run: all form one JAX world
@@ -116,7 +116,7 @@ def measure(count: int, *, learns: bool = False) -> dict[str, object]:
 
 
 def _cpu_seconds(handles: Any) -> float:
-    """Of this process and of all that it started but the processes of the run."""
+    """CPU seconds of this process and of its descendants, but for the processes of the run."""
     own, here = {handle.pid for handle in handles}, psutil.Process()
     others = [process for process in here.children(recursive=True) if process.pid not in own]
     times = [process.cpu_times() for process in [here, *others]]

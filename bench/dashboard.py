@@ -1,4 +1,4 @@
-"""How fast the dashboard is, in a real browser: pages, long runs, live rows; what the server takes meanwhile.
+"""Speed of the dashboard in a real browser: pages, long runs, live rows; and the server's CPU time and memory.
 
     python bench/dashboard.py [--browser .cache/browser/chromium] [--json FILE]
 
@@ -36,7 +36,7 @@ from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
 NUM_RUNS, NUM_UPDATES, NUM_LONG = 20, 2000, 200_000
 REPEATS = 5
 LIVE_SECONDS = 20
-STEPS = 10_000  # of an update: 1.01 M, 1.02 M, ... from the 101st on, which the page tells apart
+STEPS = 10_000  # of an update: 1.01 M, 1.02 M, ... from the 101st on, which the page distinguishes
 FIRST_LIVE = 100  # updates of the live run before it is watched
 NAMES = [name for name in METRICS if "<" not in name and not name.startswith("progress/")][:44]  # rows of 1.2 kB
 DRAWN = "() => document.querySelectorAll('.chart canvas').length > 3"

@@ -1,4 +1,4 @@
-"""How fast the editor is, in a real browser: dragging, checking, playing.
+"""Speed of the editor in a real browser: dragging, checking, playing.
 
     python -m bench.editor [--browser .cache/browser/chromium] [--json FILE]
 
@@ -99,7 +99,7 @@ def measure(browser: Any, play_seconds: float) -> dict[str, list[float]]:
             page.mouse.move(x + 0.5 * k, y - 0.3 * k)
         page.mouse.up()
         drag = page.evaluate("() => window.work")
-        page.locator(".things button").first.click()
+        page.locator(".elements button").first.click()
         at = float(page.get_by_label("position 1", exact=True).input_value())
         if abs(at - TORSO_M[0] - 0.5 * NUM_MOVES / scale) > 0.1:
             raise UserError(f"the torso was not dragged (x is {at} m); is {LEVEL} another level?")

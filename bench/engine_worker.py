@@ -1,4 +1,4 @@
-"""How fast the engine worker of the web pages is: start, checks, sessions, attempts, thumbnails; and its memory.
+"""Speed of the engine worker of the web pages: start, checks, sessions, attempts, thumbnails; and its memory.
 
     python -m bench.engine_worker --json runs/engine_worker.json
 
@@ -26,7 +26,7 @@ import psutil
 from bench.program import exit_code, output_file, parser_of
 from bench.worker_client import Client
 from kinetix_dist.checkpoint import flatten_arrays
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, LEVELS, REFRESH, write_snapshot
 
@@ -63,10 +63,10 @@ def measure(client: Client, play_seconds: float) -> dict[str, Any]:
 
 def _check(client: Client, size: str) -> dict[str, float]:
     document = level_of(size)["document"]
-    first = seconds_of(lambda: client.ask("check", document=document))
+    first = seconds_of(lambda: client.request("check", document=document))
 
     def median_ms(play: bool) -> float:
-        times = [seconds_of(lambda: client.ask("check", document=document, play=play)) for _ in range(REPEATS)]
+        times = [seconds_of(lambda: client.request("check", document=document, play=play)) for _ in range(REPEATS)]
         return 1e3 * statistics.median(times)
 
     return {"first_s": first, "median_ms": median_ms(True), "without_play_ms": median_ms(False)}
@@ -74,21 +74,21 @@ def _check(client: Client, size: str) -> dict[str, float]:
 
 def _session(client: Client, size: str, policy: Any) -> dict[str, float]:
     def open_one() -> int:
-        return client.ask("play.open", level=level_of(size), policy=policy, env=ENDLESS)["session"]
+        return client.request("play.open", level=level_of(size), policy=policy, env=ENDLESS)["session"]
 
     first = seconds_of(open_one)
     client.close_sessions()
     again = seconds_of(open_one)
     (session,) = client.sessions
-    steps = [seconds_of(lambda: client.ask("play.control", session=session, do="step")) for _ in range(STEPS)]
+    steps = [seconds_of(lambda: client.request("play.control", session=session, do="step")) for _ in range(STEPS)]
     client.close_sessions()
     return {"first_s": first, "again_s": again, "step_round_trip_ms": 1e3 * statistics.median(steps)}
 
 
 def _play(client: Client, policy: Any, seconds: float) -> dict[str, float]:
-    session = client.ask("play.open", level=level_of("s"), policy=policy, env=ENDLESS)["session"]
+    session = client.request("play.open", level=level_of("s"), policy=policy, env=ENDLESS)["session"]
     client.others.clear()
-    client.ask("play.control", session=session, do="run")
+    client.request("play.control", session=session, do="run")
     end, times = time.monotonic() + seconds, []
     while time.monotonic() < end:
         client.other("frame")
@@ -100,7 +100,7 @@ def _play(client: Client, policy: Any, seconds: float) -> dict[str, float]:
 
 def _attempts(client: Client, size: str) -> dict[str, float]:
     def attempt() -> None:
-        client.ask("attempts", level=level_of(size), policy=POLICY, attempts=64)
+        client.request("attempts", level=level_of(size), policy=POLICY, attempts=64)
 
     return {"first_s": seconds_of(attempt), "warm_s": statistics.median(seconds_of(attempt) for _ in range(3))}
 
@@ -112,12 +112,16 @@ def _thumbnails(client: Client) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as run:
         write_snapshot(Path(run) / DIRECTORY, REFRESH, 0, {"size": np.str_("l"), **arrays})
 
-        def ask() -> int:
+        def request() -> int:
             request = client.send("thumbnails", run=run, refresh=0, indices=list(range(NUM_THUMBNAILS)))
             return len(client.wait(request).body)
 
-        first = seconds_of(ask)
-        return {"first_s": first, "warm_s": statistics.median(seconds_of(ask) for _ in range(3)), "mb": ask() / 1e6}
+        first = seconds_of(request)
+        return {
+            "first_s": first,
+            "warm_s": statistics.median(seconds_of(request) for _ in range(3)),
+            "mb": request() / 1e6,
+        }
 
 
 def main() -> int:

@@ -42,7 +42,7 @@ OPTIONS = {  # on a CPU; on GPUs a run has one process a GPU
 
 
 def python_path() -> str:
-    """Of a command that is to run this checkout."""
+    """PYTHONPATH of a command that is to run this checkout."""
     return os.pathsep.join(filter(None, (str(REPOSITORY), os.environ.get("PYTHONPATH", ""))))
 
 
@@ -110,7 +110,7 @@ class FaultRun:
         return self.said_path.read_text(errors="replace")
 
     def events(self, kind: str, **details: Any) -> list[dict[str, Any]]:
-        """Of a kind so far, with these details."""
+        """Events of a kind so far, with these details."""
         found = (row for row in read_lines(self.path / "events.jsonl").rows if row["event"] == kind)
         return [row for row in found if all(row.get(name) == value for name, value in details.items())]
 
@@ -118,7 +118,7 @@ class FaultRun:
         return [row["update"] for row in read_lines(self.path / "metrics" / "metrics.jsonl").rows]
 
     def last_processes(self) -> list[dict[str, Any]]:
-        """What the processes said of themselves last, as processes.jsonl has it."""
+        """Last rows that the processes gave of themselves, as processes.jsonl has them."""
         lines = read_lines(self.path / "processes.jsonl").rows
         return lines[-1]["processes"] if lines else []
 
@@ -233,7 +233,7 @@ def _is_held(path: Path) -> bool:
 
 
 def gpu_memory_mib() -> list[int]:
-    """In use on each GPU by all programs; empty on a machine without an NVIDIA driver."""
+    """Memory in use on each GPU by all programs; empty on a machine without an NVIDIA driver."""
     if shutil.which("nvidia-smi") is None:
         return []
     query = ["nvidia-smi", "--query-gpu=memory.used", "--format=csv,noheader,nounits"]
@@ -241,5 +241,5 @@ def gpu_memory_mib() -> list[int]:
 
 
 def machine() -> dict[str, Any]:
-    """What figures of this moment stand beside."""
+    """Machine that figures of this moment belong to."""
     return {"cores": psutil.cpu_count(), "load": [round(value, 1) for value in os.getloadavg()]}

@@ -206,7 +206,7 @@ def _sleep(run: FaultRun, seconds: float) -> None:
 
 
 def _compared(run: FaultRun, path: Path, num_updates: int, settings: tuple[str, ...]) -> list[str]:
-    """What differs from a run without faults to the same update."""
+    """Differences from a run without faults to the same update."""
     path.mkdir()
     shutil.copy(run.path / "adoptions.json", path)
     whole = FaultRun(path, run.placement, settings)
@@ -232,7 +232,7 @@ def _same_bits(ours: np.ndarray, theirs: np.ndarray | None) -> bool:
 
 
 def _recoveries(run: FaultRun) -> dict[str, dict[str, float]]:
-    """By role: from a loss to the first new result, other losses in between included."""
+    """Recoveries by role: from a loss to the first new result, other losses in between included."""
     found = {role: [row["seconds"] for row in run.events("recovered", role=role)] for role in ROLES}
     return {
         role: {"number": len(seconds), "median": round(statistics.median(seconds), 1), "max": round(max(seconds), 1)}

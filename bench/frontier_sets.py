@@ -19,6 +19,7 @@ import numpy as np
 from bench.program import exit_code, parser_of
 from jax2d.scene import index_worlds
 from kinetix_dist import prng
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.evaluate import evaluate
@@ -34,9 +35,8 @@ from kinetix_dist.level.frontier import (
     stream_levels,
 )
 from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.noop import noop_solved
-from kinetix_dist.telemetry.compile_cache import enable_compile_cache
-from kinetix_dist.telemetry.json_lines import replace_file
+from kinetix_dist.level.simulation import noop_solved
+from kinetix_dist.program_cache import enable_compile_cache
 from kinetix_dist.trained_policy import Trained
 
 FIRST_ATTEMPTS = 8  # of each policy on a level; all of them only where these solve nothing
@@ -92,7 +92,7 @@ def choose(size: str, policies: dict[str, Trained], arguments: argparse.Namespac
 
 
 def policies_of(names: list[str]) -> dict[str, Trained]:
-    """By the names given: pretrained ones, checkpoints, or run directories."""
+    """Policies by the names given: pretrained ones, checkpoints, or run directories."""
     return {name: policy_at(Path(name)) for name in names}
 
 

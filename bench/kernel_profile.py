@@ -44,13 +44,13 @@ from jax2d.scene import stack_worlds
 from jax2d.settings import PRESETS
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.variant import CompileOptions, KernelVariant
-from kinetix_dist.benchmarks.random_play import FRAME_SKIP, Play, random_play
+from kinetix_dist.benchmarks.engine_worlds import FRAME_SKIP, Play, random_play
 from kinetix_dist.errors import UserError
-from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import load_kinetix
 from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.simulation import level_effects
 
 BLOCK = CompileOptions().block_dim
 ARCH = 90  # H100 and H200

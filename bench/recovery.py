@@ -41,8 +41,8 @@ from bench.fault_run import (
 )
 from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.errors import UserError
+from kinetix_dist.program_cache import default_directory
 from kinetix_dist.recipes import recipe
-from kinetix_dist.telemetry.compile_cache import default_directory
 from kinetix_dist.telemetry.json_lines import read_lines
 
 PLACEMENTS = {"curator": "colocated", "worker": "colocated", "driver": "colocated", "rollout": "split"}
@@ -112,7 +112,7 @@ def refresh_every(name: str) -> int:
 
 
 def _order(lost: str) -> tuple[str, int]:
-    """By placement. The curator first: what a process says comes when another was started again."""
+    """Order by placement, the curator first: a process reports when another was started again."""
     return PLACEMENTS[lost], list(PLACEMENTS).index(lost)
 
 
@@ -148,7 +148,7 @@ def _recovery(run: FaultRun, lost: str) -> dict[str, Any]:
 
 
 def _compile_seconds(run: FaultRun) -> dict[str, list[float]]:
-    """Of every start of each process, in order."""
+    """Compile seconds of every start of each process, in order."""
     found: dict[str, dict[int, float]] = defaultdict(dict)
     for line in read_lines(run.path / "processes.jsonl").rows:
         for process in line["processes"]:
@@ -163,7 +163,7 @@ def _cache_files() -> set[str]:
 
 
 def _memory_once_given_back(before: list[int]) -> list[int]:
-    """What GPUs have in use when they are back at that, or GONE_S later."""
+    """Memory of GPUs when they are back at that, or GONE_S later."""
     deadline = time.monotonic() + GONE_S
     while True:
         found = gpu_memory_mib()
@@ -198,7 +198,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def table(records: list[dict[str, Any]]) -> str:
-    """Of all losses, and what each run left."""
+    """Table of all losses, and what each run left."""
     lines = [f"{'placement':10} {'lost':26} {'wall s':>8} {'told s':>8} {'CPU s':>8}"]
     for record in records:
         if "seconds" in record:

@@ -13,10 +13,10 @@ import sys
 from pathlib import Path
 
 from bench.program import exit_code, parser_of
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.level.fingerprints import NUM_CHECKED, fingerprint
 from kinetix_dist.level.sets import RANDOM_SETS, VARIED_SETS, load_level_set
-from kinetix_dist.telemetry.compile_cache import enable_compile_cache
-from kinetix_dist.telemetry.json_lines import replace_file
+from kinetix_dist.program_cache import enable_compile_cache
 
 
 def run(file: Path) -> int:

@@ -231,8 +231,8 @@ def changed_sides(shots: Shots, wall: int, position: np.ndarray, angle: np.ndarr
     end."""
     local = in_frame_of_wall(position, angle)
     half_length = shots.corners[wall][:, 1].max()
-    beside = np.abs(local[..., 1]) < half_length - (shots.radius or 0.0)
-    return (beside[1:] & beside[:-1] & (local[1:, :, 0] * local[:-1, :, 0] < 0)).any(0)
+    is_alongside = np.abs(local[..., 1]) < half_length - (shots.radius or 0.0)
+    return (is_alongside[1:] & is_alongside[:-1] & (local[1:, :, 0] * local[:-1, :, 0] < 0)).any(0)
 
 
 def depth(shots: Shots, wall: int, position: np.ndarray, angle: np.ndarray) -> np.ndarray:

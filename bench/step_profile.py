@@ -30,7 +30,7 @@ from bench.compiled_traffic import CompiledText, Launch, launches_of, loop_body
 from bench.learner_traffic import COPY_BYTES_A_SECOND
 from bench.program import exit_code, output_file, parser_of, report_each
 from bench.training_memory import Programs, configuration
-from kinetix_dist.benchmarks.timing import median_seconds
+from kinetix_dist.benchmarks.measuring import median_seconds
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.learner.sharding import replicate

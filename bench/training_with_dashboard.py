@@ -1,4 +1,4 @@
-"""What a server that follows a run and a page in a browser cost the run's training.
+"""Cost of a server that follows a run, and of a page in a browser, to the training of the run.
 
     python -m bench.training_with_dashboard --json runs/training_with_dashboard.json
 
@@ -42,12 +42,12 @@ VIEWPORT: Any = {"width": 1600, "height": 900}
 
 
 def family(root: psutil.Process) -> list[psutil.Process]:
-    """It and all below it, now."""
+    """Process with all its descendants, now."""
     return [root, *root.children(recursive=True)]
 
 
 def cpu_seconds(processes: list[psutil.Process]) -> float:
-    """Of each and of its children that have ended."""
+    """CPU seconds of each process and of its children that have ended."""
     return sum(sum(process.cpu_times()[:4]) for process in processes)
 
 
@@ -88,7 +88,7 @@ def measure(browser: Any, runs: Path, arguments: argparse.Namespace) -> list[dic
         page.wait_for_function(DRAWN)
         while update < LEFT_OUT:
             update = wait_for_row(update, is_watched=True)
-        # The driver of the browser is left out: this program asks it, as no person does.
+        # The driver of the browser is left out: this program queries it, as no person does.
         below = psutil.Process().children(recursive=True)
         watching = {"server": [server], "browser": [process for process in below if "chrom" in process.name()]}
         stopped = [process for processes in watching.values() for process in processes]

@@ -24,7 +24,7 @@ SECONDS = 120.0  # for an answer, after which a worker is taken for hung
 
 
 class Client:
-    """One worker. `slow`: reads nothing before `read_on()`."""
+    """Client of one worker. `slow`: reads nothing before `read_on()`."""
 
     def __init__(self, *, log: Path, environment: dict[str, str] | None = None, slow: bool = False) -> None:
         self._log = log.open("wb")
@@ -81,7 +81,7 @@ class Client:
         return number
 
     def send_raw(self, number: int, fields: dict[str, Any]) -> None:
-        """Also what no JSON may hold, such as NaN."""
+        """Sends a message that may hold what JSON forbids, such as NaN."""
         data = json.dumps({"id": number, **fields}).encode()
         self.write(struct.pack("<II", 4 + len(data), len(data)) + data)
 
@@ -90,7 +90,7 @@ class Client:
         self.process.stdin.write(data)
         self.process.stdin.flush()
 
-    def tell(self, kind: str, **fields: Any) -> None:
+    def send_only(self, kind: str, **fields: Any) -> None:
         """A message without an id."""
         self.write(encode(Message({"type": kind, **fields})))
 
@@ -120,7 +120,7 @@ class Client:
             raise RequestError(message.content["code"], message.content["text"])
         return message
 
-    def ask(self, kind: str, **fields: Any) -> dict[str, Any]:
+    def request(self, kind: str, **fields: Any) -> dict[str, Any]:
         return self.wait(self.send(kind, **fields)).content
 
     def other(self, kind: str, seconds: float = SECONDS) -> Message:
@@ -137,10 +137,10 @@ class Client:
         return decode(self.other("frame", seconds).body, FrameSizes(**sizes))
 
     def close_sessions(self) -> None:
-        """Also those of a test that failed."""
+        """Closes all sessions, also those of a test that failed."""
         for number in self.sessions:
             try:
-                self.ask("play.close", session=number)
+                self.request("play.close", session=number)
             except RequestError as error:
                 assert error.code == NOT_FOUND  # closed by the test
         self.sessions.clear()

@@ -17,7 +17,7 @@ import importlib
 import sys
 from typing import TYPE_CHECKING, Any
 
-from kinetix_dist import engine_package
+from kinetix_dist import installation
 
 if TYPE_CHECKING:
     from kinetix_dist.api.batched_env import BatchedEnv, BatchState, draw, make
@@ -61,6 +61,6 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-engine_package.guard()
+installation.guard()
 if "gymnasium" in sys.modules:
     from kinetix_dist import gymnasium_envs as gymnasium_envs

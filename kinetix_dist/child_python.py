@@ -6,7 +6,7 @@
 `-P` leaves it out, and the child takes the import path of this process before it imports anything. Every Python process
 that the project starts is started by `command_of`; those of Ray get
 `directories_outside_python` in another way (`ray_setup.py`).
-Processes that can be asked say where they import from (`imported_from`), and who starts them compares it.
+Workers report the directories they import from (`imported_from`), and their starter compares these.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def import_path() -> list[str]:
 
 
 def directories_outside_python() -> list[str]:
-    """Those of `import_path` that belong to no installation of Python: checkouts, and directories of PYTHONPATH."""
+    """Entries of `import_path` that belong to no installation of Python: checkouts, and directories of PYTHONPATH."""
     installed = [Path(prefix).resolve() for prefix in (sys.prefix, sys.base_prefix, *site.getsitepackages())]
     return [
         entry

@@ -30,7 +30,9 @@ RENAMED_VALUES: dict[tuple[str, Any], Any] = {
 }
 
 # Options of commands that are no settings: (command, option before) -> option now, ("sweep", "--places") -> "--slots".
-RENAMED_OPTIONS: dict[tuple[str, str], str] = {}
+RENAMED_OPTIONS: dict[tuple[str, str], str] = {
+    ("sweep", "--lanes"): "--slots",
+}
 
 # Recipe before -> recipe now.
 RENAMED_RECIPES: dict[str, str] = {}

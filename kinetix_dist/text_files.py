@@ -1,7 +1,7 @@
-"""Text files that people wrote, with whatever byte order mark their editor put first: one way to read all of them.
+"""Text files that people wrote, with any byte order mark: one way to read all of them.
 
 Editors of Windows begin UTF-8 with a mark or write UTF-16, which json and tomllib refuse. Copies from a Mac leave a
-hidden file `._x.json` beside each `x.json`, with attributes and no text: `is_hidden` says which those are.
+hidden file `._x.json` for each `x.json`, with attributes and no text: `is_hidden` finds these.
 """
 
 from __future__ import annotations
@@ -36,5 +36,5 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def is_hidden(path: Path, directory: Path) -> bool:
-    """Whether a file below a directory is hidden, or lies in a hidden folder."""
+    """True where a file below a directory is hidden, or lies in a hidden folder."""
     return any(part.startswith(".") for part in path.relative_to(directory).parts)

@@ -19,7 +19,7 @@ MAX_LISTINGS = 3  # of a run's checkpoints, where all that were listed are prune
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Trained:
-    """A checkpoint, verified, and what it was trained with."""
+    """Verified checkpoint with the config that it was trained with."""
 
     checkpoint: Checkpoint
     config: TrainConfig
@@ -32,7 +32,7 @@ class Trained:
         return env_config_of(self.config, size)
 
     def player(self, env: Environment, levels: Level, *, greedy: bool = False) -> Player:
-        """Its policy for levels [W, ...] like these. Raises UserError where it does not fit levels of this size."""
+        """Player of levels [W, ...] like these. Raises UserError where the policy does not fit levels of this size."""
         path, size = self.checkpoint.path, env.config.size
         with user_errors(ValueError, prefix=f"checkpoint {path} does not fit levels of size {size}: "):
             module, params = load_policy(self.checkpoint, self.config.policy, env, levels)
@@ -40,12 +40,12 @@ class Trained:
 
 
 def env_config_of(config: TrainConfig, size: str) -> EnvConfig:
-    """The environment of a run for levels of a size. Groups of engines are of use for many worlds only."""
+    """Environment of a run for levels of a size. Groups of engines are of use for many worlds only."""
     return dataclasses.replace(config.env, size=size, effect_groups=0)
 
 
 def checkpoint_at(path: Path) -> Trained:
-    """That of a directory, or of a pretrained policy by its name. Raises UserError."""
+    """Checkpoint of a directory, or of a pretrained policy by its name. Raises UserError."""
     if (path / "checkpoints").is_dir():
         raise UserError(f"{path} is a run directory; give it as a run")
     with user_errors(CheckpointError, ValueError, OSError):
@@ -53,7 +53,7 @@ def checkpoint_at(path: Path) -> Trained:
 
 
 def newest_checkpoint_of(run: Path) -> tuple[Trained, list[Rejected]]:
-    """The newest good one of a run, and newer ones that were passed over. Raises UserError where there is none."""
+    """Newest checkpoint of a run that can be read, and newer ones that cannot. Raises UserError where there is none."""
     if not run.is_dir():
         raise UserError(f"{run} is not a directory; give a run directory such as runs/quickstart")
     rejected: list[Rejected] = []
@@ -68,6 +68,6 @@ def newest_checkpoint_of(run: Path) -> tuple[Trained, list[Rejected]]:
 
 def _trained(checkpoint: Checkpoint) -> Trained:
     if "config" not in checkpoint.description:
-        raise UserError(f"checkpoint {checkpoint.path} does not say which config it was trained with")
+        raise UserError(f"checkpoint {checkpoint.path} has no config of its training")
     with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path}: "):
         return Trained(checkpoint=checkpoint, config=from_dict_for_playing(checkpoint.description["config"]))

@@ -37,17 +37,17 @@ def settle() -> str:
     if not has_token:
         os.environ["RAY_AUTH_TOKEN_PATH"] = str(instead / "ray_auth_token")
     if has_cache:
-        return f"{token.parent} cannot be written: Ray's token is kept in {instead}; set RAY_AUTH_TOKEN_PATH to move it"
+        return f"{token.parent} cannot be written: Ray's token goes to {instead}; set RAY_AUTH_TOKEN_PATH to move it"
     if not has_home:
         os.environ["HOME"] = str(instead)
     if not cache.is_absolute() or not can_be_written(cache):
         os.environ["XDG_CACHE_HOME"] = str(instead / ".cache")
     why = f"{cache} cannot be written" if has_home else f"user {getpass.getuser()} has no home directory"
-    return f"{why}: caches are kept in {instead}; set HOME or XDG_CACHE_HOME to keep them elsewhere"
+    return f"{why}: caches are stored in {instead}; set HOME or XDG_CACHE_HOME to store them elsewhere"
 
 
 def can_be_written(path: Path) -> bool:
-    """Whether a file or directory can be changed, or made where it is missing. Nothing is made."""
+    """True where a file or directory can be changed, or made where it is missing. Nothing is made."""
     for there in (path, *path.parents):
         if there.exists():
             return os.access(there, os.W_OK)

@@ -16,10 +16,9 @@ import dataclasses
 import statistics
 from typing import Any, Literal
 
-from kinetix_dist.benchmarks.results import Results
-from kinetix_dist.benchmarks.training_options import NUM_WARM_UPDATES, TrainingOptions, shortened, with_run
-from kinetix_dist.benchmarks.training_process import RunFailedError, environment_of, run_in_process
-from kinetix_dist.benchmarks.training_run import number_of_gpus
+from kinetix_dist.benchmarks.measuring import Results
+from kinetix_dist.benchmarks.training_options import NUM_WARM_UPDATES, TrainingOptions, shortened
+from kinetix_dist.benchmarks.training_run import RunFailedError, environment_of, number_of_gpus, run_in_process
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
@@ -56,7 +55,7 @@ class CuratorRecord:
     overrides: tuple[str, ...]
     size: str
     platform: str  # "cpu" or "gpu"
-    device: str  # kind
+    device: str  # its model
     num_candidates: int
     scoring_steps: int
     scoring_batch: int
@@ -108,7 +107,8 @@ def config_of(recipe: TrainConfig, size: str, refreshes: int) -> TrainConfig:
         curriculum_log=log,
     )
     last = PROBE_EVERY * (refreshes + 1) if log.probe_levels else refreshes
-    return with_run(shortened(config, REFRESH_EVERY * last + 1), placement="local")
+    config = shortened(config, REFRESH_EVERY * last + 1)
+    return dataclasses.replace(config, run=dataclasses.replace(config.run, placement="local"))
 
 
 def seconds_of(

@@ -1,14 +1,14 @@
-"""What the cost of effects is measured on: levels as they are, and edited to do without an effect.
+"""Worlds that the cost of effects is measured on: levels as they are, and edited to do without an effect.
 
     full, the levels as they are               what everything is relative to
     specialised, the levels as they are        an engine for what these levels call for
-    full, the levels without friction          its code is there and finds nothing to do
+    full, the levels without friction          its code runs and finds nothing to do
     without, the levels without friction       the same worlds on an engine compiled without friction
     ...                                        for every effect
     full, bouncing everywhere                  the public levels do not bounce: every shape gets restitution 0.5
     full, an empty scene or one falling box    what an engine costs that finds next to nothing to do
-    with room, the levels as they are          an engine that has room for what no level calls for: belts, springs, ...
-    with room, the levels with belts           every shape has one; likewise damping, rolling resistance, springs
+    larger, the levels as they are             an engine with slots for effects that no level has: belts, springs, ...
+    larger, the levels with belts              every shape has one; likewise damping, rolling resistance, springs
 
 Continuous collision is called for wherever shapes may touch, so those worlds stay as they are and it has no row "full".
 """
@@ -28,12 +28,12 @@ from jax2d import Capacity, Controls, Engine, JointKind, Scene, SceneBuilder, st
 from jax2d.effects import EFFECTS, Effects, effects_of
 from jax2d.fields import broadcast, empty
 from kinetix_dist import prng
-from kinetix_dist.benchmarks.random_play import FRAME_SKIP, take_worlds
+from kinetix_dist.benchmarks.engine_worlds import FRAME_SKIP, take_worlds
 from kinetix_dist.level.level import NUM_WALLS, Level
 
 NUM_SPRINGS = 2
 ADDED = ("springs", "surface_speed", "damping", "rolling_resistance")  # which no level has
-# In the place of an effect's name
+# Instead of the name of an effect
 AS_THEY_ARE, BOUNCING, EMPTY, FALLING_BOX = "all", "bouncing everywhere", "empty scene", "one falling box"
 
 
@@ -42,7 +42,7 @@ class Case:
     """Worlds and the engine that steps them."""
 
     effect: str  # that the worlds do without, or one of the names above
-    engine: str  # "full", "without", "specialised" or "with room"
+    engine: str  # "full", "without", "specialised" or "larger"
     capacity: Capacity  # of the engine
     effects: Effects  # of the engine
     scene: Any  # packed
@@ -77,14 +77,14 @@ def without(scene: Scene, effect: str) -> Scene:
     return scene.replace(**changes[effect])
 
 
-def with_room(records: Any, capacity: Capacity, batch: tuple[int, ...]) -> Any:
+def in_capacity(records: Any, capacity: Capacity, batch: tuple[int, ...]) -> Any:
     """A batch of scenes or states in arrays of a capacity that differs in what they have nothing of."""
     wider = broadcast(empty(type(records), capacity.sizes), batch)
     return jax.tree.map(lambda new, old: old if np.shape(old) == np.shape(new) else jnp.asarray(new), wider, records)
 
 
 def with_effect(scene: Scene, effect: str) -> Scene:
-    """The scenes of a batch, which have room for it, with an effect wherever it can be."""
+    """The scenes of a batch, whose capacity has it, with an effect wherever it can be."""
     each = np.zeros_like(scene.shapes.surface_speed)
     if effect == "springs":
         active = np.asarray(scene.shapes.active)
@@ -130,21 +130,21 @@ def cases_of(full: Engine, levels: Level, controls: Controls, seed: int) -> list
     cases.append(case(BOUNCING, "full", everything, spread(full.pack_scene(bouncing))))
     for name, num_boxes in ((EMPTY, 0), (FALLING_BOX, 1)):
         cases.append(case(name, "full", everything, *_falling_boxes(full, num_boxes, worlds)))
-    return cases + _cases_with_room(full, levels.scene, start, spread)
+    return cases + _cases_of_larger_engine(full, levels.scene, start, spread)
 
 
-def _cases_with_room(full: Engine, scene: Scene, start: Any, spread: Callable[[Any], Any]) -> list[Case]:
-    """Of effects that only a larger capacity has; the worlds start where the full engine's do."""
+def _cases_of_larger_engine(full: Engine, scene: Scene, start: Any, spread: Callable[[Any], Any]) -> list[Case]:
+    """Cases of effects that only a larger capacity has; the worlds start where the full engine's do."""
     capacity = dataclasses.replace(full.capacity, extended_shapes=True, springs=NUM_SPRINGS)
     engine = Engine(capacity, settings=full.settings)
-    scene = with_room(scene, capacity, np.shape(scene.gravity)[:-1])
+    scene = in_capacity(scene, capacity, np.shape(scene.gravity)[:-1])
     scenes = {AS_THEY_ARE: scene} | {effect: with_effect(scene, effect) for effect in ADDED}
     state = full.unpack_state(start)
-    starts = engine.pack_state(with_room(state, capacity, state.position.shape[:-2]))
+    starts = engine.pack_state(in_capacity(state, capacity, state.position.shape[:-2]))
     return [
         Case(
             effect=name,
-            engine="with room",
+            engine="larger",
             capacity=capacity,
             effects=engine.effects,
             scene=spread(engine.pack_scene(one)),
@@ -171,9 +171,9 @@ def _at_random_moments(engine: Engine, scene: Any, start: Any, controls: Control
     @jax.jit
     def play(scene: Any, start: Any, controls: Controls) -> Any:
         def advance(carry: tuple[Any, Any], now: tuple[Any, Controls]) -> tuple[tuple[Any, Any], None]:
-            state, kept = carry
-            kept = jax.tree.map(lambda a, b: jnp.where(moments == now[0], a, b), state, kept)
-            return (engine.step_packed(scene, state, now[1], num_steps=FRAME_SKIP)[0], kept), None
+            state, chosen = carry
+            chosen = jax.tree.map(lambda a, b: jnp.where(moments == now[0], a, b), state, chosen)
+            return (engine.step_packed(scene, state, now[1], num_steps=FRAME_SKIP)[0], chosen), None
 
         return jax.lax.scan(advance, (start, start), (jnp.arange(num_calls), controls))[0][1]
 

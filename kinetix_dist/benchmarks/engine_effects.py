@@ -5,11 +5,11 @@ does without it: its own work, the work it makes for others (without gravity few
 difference of the effect's rows "full" and "without" is its code alone: both worlds move bit for bit alike.
 
 Worlds start where the full engine is at a random moment of their episodes, and every run starts there again: in
-`steps` physics steps the absence of an effect changes little about where things are. Actions are drawn before. Runs of
+`steps` physics steps the absence of an effect hardly moves the bodies. Actions are drawn before. Runs of
 the engines are interleaved, in random order. A time includes the launches, one for every 2 physics steps. On a CPU it
 is processor time. A record has exactly these fields:
 
-    {"size", "effect", "engine": "full"|"without"|"specialised"|"with room", "worlds", "device",
+    {"size", "effect", "engine": "full"|"without"|"specialised"|"larger", "worlds", "device",
      "us_per_world_step", "relative_to_full"}
 """
 
@@ -29,10 +29,17 @@ from jax2d import Controls, Engine, preset
 from jax2d.effects import EFFECTS, called_for
 from kinetix_dist import prng
 from kinetix_dist.benchmarks.effect_cases import ADDED, AS_THEY_ARE, BOUNCING, EMPTY, FALLING_BOX, Case, cases_of
-from kinetix_dist.benchmarks.level_files import EngineOptions, check_engine, check_steps, level_files, load_levels
-from kinetix_dist.benchmarks.random_play import EPISODE_STEPS, FRAME_SKIP, random_controls
-from kinetix_dist.benchmarks.results import Record, Results
-from kinetix_dist.benchmarks.timing import compute_clock
+from kinetix_dist.benchmarks.engine_worlds import (
+    EPISODE_STEPS,
+    FRAME_SKIP,
+    EngineOptions,
+    check_engine,
+    check_steps,
+    level_files,
+    load_levels,
+    random_controls,
+)
+from kinetix_dist.benchmarks.measuring import Record, Results, compute_clock
 from kinetix_dist.errors import one_line
 from kinetix_dist.level.level import SIZES, Level
 
@@ -41,7 +48,7 @@ WORLDS_CPU, WORLDS_GPU = (1000,), (131072,)  # enough for a launch not to count
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options(EngineOptions):
-    """What each effect (friction, joints, ...) costs, with it and without."""
+    """Cost of each effect (friction, joints, ...), with it and without."""
 
     preset: str = "standard"
     """Settings of the engine."""
@@ -96,14 +103,14 @@ def table(records: list[Record], flags: Any) -> list[str]:
         f"  {'effect':<22} {'levels':>7} {'without it':>11} {'and engine too':>15} {'costs':>8} {'its code':>9}"
     )
     for effect, share in zip(EFFECTS, shares, strict=True):
-        if (effect, "without") not in found:  # these levels have no room for it
+        if (effect, "without") not in found:  # these levels have no slots for it
             continue
         worlds, engine = found.get((effect, "full"), 1.0), found[effect, "without"]
         lines.append(
             f"  {effect:<22} {share:7.0%} {worlds:11.1%} {engine:15.1%} {1 - engine:8.1%} {worlds - engine:9.1%}"
         )
-    lines.append(f"  {'engine with room for more, levels as they are':<46} {found[AS_THEY_ARE, 'with room']:7.1%}")
-    lines += [f"  {f'{effect} wherever it can be':<46} {found[effect, 'with room']:7.1%}" for effect in ADDED]
+    lines.append(f"  {'engine of a larger capacity, levels as they are':<46} {found[AS_THEY_ARE, 'larger']:7.1%}")
+    lines += [f"  {f'{effect} wherever it can be':<46} {found[effect, 'larger']:7.1%}" for effect in ADDED]
     return lines
 
 
@@ -141,7 +148,7 @@ def _rounds(
 def _records(
     cases: Sequence[Case], seconds: list[list[float]], size: str, worlds: int, steps: int, device: Any
 ) -> list[Record]:
-    """Of the medians of the times so far, [cases][runs]."""
+    """Records by the medians of the times so far, [cases][runs]."""
     reference = statistics.median(seconds[0])
     return [
         {

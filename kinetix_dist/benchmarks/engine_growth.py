@@ -1,4 +1,4 @@
-"""`bench engine growth`: how time and memory grow with the number of worlds and of shapes.
+"""`bench engine growth`: growth of time and memory with the number of worlds and of shapes.
 
     worlds   levels of each size, 1, 10, ... 1 M worlds: world i goes on from a level at one of 16 moments of an episode
     shapes   4 ... 512 shapes a world, in a row on one floor, on many platforms, in a heap (growth_scenes.py), settled
@@ -6,7 +6,7 @@
 One record (`Point`) is the median of `repeats` runs from the same start, after one that compiles. A run has as many
 physics steps as fit a quarter of a second, 2 at least and 128 at most. A point that does not fit `point_seconds`, or
 the memory that is free, is left out, and its record says so. On a CPU seconds are those of the processor. Tables and a
-picture are written beside the JSON.
+picture are written next to the JSON.
 """
 
 from __future__ import annotations
@@ -23,14 +23,17 @@ import psutil
 from jax2d import Engine, preset
 from jax2d.warp.memory import table_bytes, thread_bytes
 from kinetix_dist import prng
-from kinetix_dist.benchmarks import growth_picture, growth_table
-from kinetix_dist.benchmarks.growth_fit import FITTED_FROM_SHAPES, exponents
-from kinetix_dist.benchmarks.growth_scenes import SCENES, capacity_of
-from kinetix_dist.benchmarks.growth_starts import Start, levels_at_all_moments, settled_scene
-from kinetix_dist.benchmarks.level_files import EngineOptions, check_engine, level_files, load_levels
-from kinetix_dist.benchmarks.random_play import FRAME_SKIP, random_play
-from kinetix_dist.benchmarks.results import Results
-from kinetix_dist.benchmarks.timing import compute_clock
+from kinetix_dist.benchmarks.engine_worlds import (
+    FRAME_SKIP,
+    EngineOptions,
+    check_engine,
+    level_files,
+    load_levels,
+    random_play,
+)
+from kinetix_dist.benchmarks.growth_report import FITTED_FROM_SHAPES, draw, exponents, tables
+from kinetix_dist.benchmarks.growth_scenes import SCENES, Start, capacity_of, levels_at_all_moments, settled_scene
+from kinetix_dist.benchmarks.measuring import Results, compute_clock
 from kinetix_dist.errors import one_line
 from kinetix_dist.level.level import SIZES
 
@@ -45,7 +48,7 @@ COPIES = {"scene": 1, "controls": 1, "state": 3, "out": 1}  # of tables, while a
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options(EngineOptions):
-    """How time and memory grow with the number of worlds and shapes; with --json also tables and a picture."""
+    """Growth of time and memory with the number of worlds and shapes; with --json also tables and a picture."""
 
     preset: str = "standard"
     """Settings of the engine."""
@@ -77,7 +80,7 @@ class Point:
     device: str
     us_per_world_step: float | None = None  # of processor time on a CPU
     physics_steps_per_second: float | None = None
-    steps_a_run: int | None = None
+    steps_per_run: int | None = None
     contacts_per_world: float  # on average, at the start of a run
     bytes_per_world: dict[str, int]  # of the tables, by layout
     device_bytes_per_world: float | None = None  # in use for tables, where the device tells
@@ -86,7 +89,7 @@ class Point:
 
 
 def measure(options: Options, results: Results) -> None:
-    """All points, a line for each; then how steep they are, the tables and the picture."""
+    """All points, a line for each; then their slopes, the tables and the picture."""
     device = jax.devices()[0]
     results.report(f"{device.device_kind}, jax {jax.__version__}, preset {options.preset}, backend {options.backend}")
     for point in _all_points(options, device):
@@ -97,9 +100,9 @@ def measure(options: Options, results: Results) -> None:
             f"{name}: time a world-step grows as shapes to the power {power:.2f} from {FITTED_FROM_SHAPES} shapes on"
         )
     if results.file is not None:
-        results.file.with_suffix(".md").write_text(growth_table.tables(results.records))
-        growth_picture.draw(results.records, results.file.with_suffix(".png"))
-        results.report(f"tables and picture beside {results.file}, .md and .png")
+        results.file.with_suffix(".md").write_text(tables(results.records))
+        draw(results.records, results.file.with_suffix(".png"))
+        results.report(f"tables and picture next to {results.file}, .md and .png")
 
 
 def _all_points(options: Options, device: Any) -> Iterator[Point]:
@@ -197,7 +200,7 @@ class _Sweep:
         return {
             "us_per_world_step": 1e6 * median / (worlds * steps),
             "physics_steps_per_second": round(worlds * steps / median, 1),
-            "steps_a_run": steps,
+            "steps_per_run": steps,
             "device_bytes_per_world": None if before is None or after is None else (after - before) / worlds,
         }
 
@@ -207,7 +210,7 @@ def _bytes_in_use(device: Any) -> int | None:
 
 
 def _free_bytes(device: Any) -> float:
-    """What tables may take: on a GPU nine tenths of what is free, on a CPU half, since others use it too."""
+    """Bytes that tables may take: on a GPU nine tenths of what is free, on a CPU half, since others use it too."""
     stats = device.memory_stats()
     if stats is not None and "bytes_limit" in stats:
         return 0.9 * (stats["bytes_limit"] - stats["bytes_in_use"])

@@ -27,21 +27,22 @@ import jax.numpy as jnp
 
 from jax2d import Engine, preset
 from kinetix_dist import prng
-from kinetix_dist.benchmarks.level_files import (
+from kinetix_dist.benchmarks.engine_worlds import (
     CHECKOUT,
+    EPISODE_STEPS,
     EngineOptions,
     check_engine,
     check_steps,
     level_files,
     load_levels,
+    random_play,
+    take_worlds,
 )
-from kinetix_dist.benchmarks.line_process import ProcessError
-from kinetix_dist.benchmarks.published_engine import PublishedProcess
-from kinetix_dist.benchmarks.random_play import EPISODE_STEPS, random_play, take_worlds
-from kinetix_dist.benchmarks.results import Record, Results
+from kinetix_dist.benchmarks.measuring import Record, Results
+from kinetix_dist.benchmarks.peer_process import ProcessError, PublishedProcess
 from kinetix_dist.errors import one_line
-from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.simulation import level_effects
 
 # Over the range from bound by latency to bound by arithmetic. A core steps about as fast with 64 worlds as with more.
 WORLDS_CPU = (64, 256, 1024)

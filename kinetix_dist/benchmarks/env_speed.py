@@ -27,8 +27,7 @@ import numpy as np
 
 from jax2d.scene import Array
 from kinetix_dist import prng
-from kinetix_dist.benchmarks.results import Record, Results
-from kinetix_dist.benchmarks.timing import compute_clock
+from kinetix_dist.benchmarks.measuring import Record, Results, compute_clock
 from kinetix_dist.env.device_memory import DeviceMemoryError
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.observations import OBSERVATIONS
@@ -68,7 +67,7 @@ class Options:
 
 
 class Seconds(NamedTuple):
-    """Of one run."""
+    """Seconds of one run."""
 
     wall: float
     computed: float  # as `timing.compute_clock` has it

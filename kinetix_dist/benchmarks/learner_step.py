@@ -19,9 +19,8 @@ import numpy as np
 from flax import linen as nn
 
 from kinetix_dist import prng
-from kinetix_dist.benchmarks.results import BenchmarkOptions, Record, Results
+from kinetix_dist.benchmarks.measuring import BenchmarkOptions, Record, Results, median_seconds
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_obs, synthetic_trajectory
-from kinetix_dist.benchmarks.timing import median_seconds
 from kinetix_dist.env.observations import OBSERVATIONS, Observation
 from kinetix_dist.errors import user_errors
 from kinetix_dist.learner.config import PpoConfig
@@ -101,7 +100,7 @@ def measure(options: Options, results: Results) -> None:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LearnerProgram:
-    """What an update of the benchmark is made of."""
+    """Parts of an update of the benchmark."""
 
     policy: nn.Module
     observation: Observation

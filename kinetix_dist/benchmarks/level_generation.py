@@ -1,8 +1,8 @@
 """`bench levels`: random levels a second, as they are drawn and without those that solve themselves.
 
     one run    = fresh levels as a curriculum asks for them for scoring: twice as many as it keeps are drawn and played
-                 without acting for `NOOP_STEPS` environment steps; the first that are not solved are kept
-    one record = levels kept / median seconds of `repeats` runs, after one run that compiles and is not timed
+                 without acting for `NOOP_STEPS` environment steps; the first that are not solved are taken
+    one record = levels taken / median seconds of `repeats` runs, after one run that compiles and is not timed
 
     {"size", "generator", "levels", "device", "levels_per_second", "drawn_per_second", "solved_without_actions"}
 
@@ -18,14 +18,12 @@ import jax
 
 from jax2d.scene import Array
 from kinetix_dist import prng
-from kinetix_dist.benchmarks.results import Results
-from kinetix_dist.benchmarks.timing import median_seconds
+from kinetix_dist.benchmarks.measuring import Results, median_seconds
 from kinetix_dist.curator.fresh_levels import fresh_levels
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.noop import noop_solved
 from kinetix_dist.errors import one_line
-from kinetix_dist.level.filters import OVERSAMPLING
-from kinetix_dist.level.generator import generate_levels
+from kinetix_dist.level.generator import OVERSAMPLING, generate_levels
 from kinetix_dist.level.generator_config import generator
 from kinetix_dist.level.level import SIZES, Level
 
@@ -37,7 +35,7 @@ class Options:
     sizes: tuple[str, ...] = tuple(SIZES)
     """Sizes of levels."""
     generators: tuple[str, ...] = ("default",)
-    """Generators: "default", "kinetix" (the public package's), "locomotion", "tasks" or one of its kinds."""
+    """Generators: "default", "kinetix" (the public package's), "locomotion", "tasks" or one of its families."""
     levels: tuple[int, ...] = (4096,)
     """Numbers of levels to keep in one run."""
     repeats: int = 7

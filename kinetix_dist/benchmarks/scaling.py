@@ -17,10 +17,16 @@ import dataclasses
 import statistics
 from typing import Any, Literal
 
-from kinetix_dist.benchmarks.results import Results
-from kinetix_dist.benchmarks.training_options import TrainingOptions, shares_of_time, shortened, speeds, with_run
-from kinetix_dist.benchmarks.training_process import RunFailedError, environment_of, run_in_process
-from kinetix_dist.benchmarks.training_run import TrainingRun, check_placement, number_of_gpus
+from kinetix_dist.benchmarks.measuring import Results
+from kinetix_dist.benchmarks.training_options import TrainingOptions, shares_of_time, shortened, speeds
+from kinetix_dist.benchmarks.training_run import (
+    RunFailedError,
+    TrainingRun,
+    check_placement,
+    environment_of,
+    number_of_gpus,
+    run_in_process,
+)
 from kinetix_dist.benchmarks.training_speed import check_updates
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import one_line
@@ -66,7 +72,7 @@ class ScalingRecord:
     placement: str
     devices: int  # given to the run
     platform: str  # "cpu" or "gpu"
-    device: str | None = None  # kind
+    device: str | None = None  # its model
     worlds: int
     runs: int = 0
     env_steps_per_second: float | None = None  # median over runs of the median over updates
@@ -127,10 +133,13 @@ def config_of(options: Options, placement: str, devices: int) -> TrainConfig:
     if placement == "split":
         if devices < 2:
             raise ValueError("split needs 2 devices or more: one learns, the others play")
-        return with_run(config, placement=placement, num_rollout_actors=devices - 1)
+        run = dataclasses.replace(config.run, placement=placement, num_rollout_actors=devices - 1)
+        return dataclasses.replace(config, run=run)
     if devices > config.num_blocks:
         raise ValueError(f"{devices} devices cannot share {config.num_blocks} blocks of worlds: some would have none")
-    return with_run(config, placement=placement, num_workers=devices if placement == "colocated" else 0)
+    num_workers = devices if placement == "colocated" else 0
+    run = dataclasses.replace(config.run, placement=placement, num_workers=num_workers)
+    return dataclasses.replace(config, run=run)
 
 
 def _point(options: Options, placement: str, devices: int, num_gpus: int) -> _Point:

@@ -7,7 +7,7 @@
     control  = GPUs x a message
 
 `COSTS` has the figures and where each was measured; what was not measured is an assumption and is named so. docs/
-benchmarks.md holds the predictions beside what was measured.
+benchmarks.md holds the predictions next to measurements.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import dataclasses
 import math
 from typing import Literal
 
-from kinetix_dist.benchmarks.results import BenchmarkOptions, Results
+from kinetix_dist.benchmarks.measuring import BenchmarkOptions, Results
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.recipes import recipe
 
@@ -25,7 +25,7 @@ GPUS_A_HOST = 8
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Costs:
-    """Of one size on one kind of GPU, in seconds."""
+    """Costs of one size on one model of GPU, in seconds."""
 
     rollout_fixed: float  # an update of 256 steps, whatever the number of worlds
     rollout_world: float  # a world more
@@ -98,7 +98,7 @@ def measure(options: Options, results: Results) -> None:
 
 
 def predictions(options: Options, costs: Costs = COSTS) -> list[ModelRecord]:
-    """In the order of the devices."""
+    """Predictions in the order of the devices."""
     config = _settings(options)
     of_one = _predict(config, options, 1, costs, reference=None)
     return [_predict(config, options, devices, costs, reference=of_one) for devices in options.devices]
@@ -142,7 +142,7 @@ def _predict(
 
 
 def reduce_seconds(devices: int, costs: Costs) -> float:
-    """What the mean of the gradients adds to a gradient step."""
+    """Seconds that the mean of the gradients adds to a gradient step."""
     if devices == 1:
         return 0.0
     inside = min(devices, GPUS_A_HOST)

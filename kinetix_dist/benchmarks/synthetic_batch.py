@@ -53,7 +53,7 @@ def synthetic_static_obs(num_worlds: int, capacity: Capacity, seed: int = 0) -> 
 
 
 def synthetic_trajectory(num_steps: int, num_worlds: int, capacity: Capacity, seed: int = 0) -> Trajectory:
-    """What the levels of `synthetic_static_obs` could have looked like while they were played, [steps, worlds, ...]."""
+    """Trajectory of the levels of `synthetic_static_obs` as if they had been played, [steps, worlds, ...]."""
     rng = np.random.default_rng(seed)
     leading = (num_steps, num_worlds)
     return Trajectory(

@@ -1,4 +1,4 @@
-"""What the benchmarks of training have in common: a recipe, made so short that only its speed can be seen."""
+"""Options of the benchmarks of training: a recipe, made so short that only its speed can be seen."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import statistics
 from typing import Any, Literal
 
-from kinetix_dist.benchmarks.results import BenchmarkOptions
+from kinetix_dist.benchmarks.measuring import BenchmarkOptions
 from kinetix_dist.config import EvaluationConfig, RecordingConfig, TrainConfig, from_dict, to_dict
 from kinetix_dist.recipes import recipe
 from kinetix_dist.renamed_settings import refuse_old_options
@@ -20,14 +20,14 @@ SHARE = "time/"  # of a metric: the share of an update that a role took
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TrainingOptions(BenchmarkOptions):
-    """What every benchmark of training takes."""
+    """Options of every benchmark of training."""
 
     recipe: str = "quickstart"
     """The recipe to measure (docs/training.md lists them)."""
     set: tuple[str, ...] = ()
     """Fields of its configuration, such as rollout.num_envs=1024 ppo.epochs=1."""
     device: Literal["auto", "cpu", "gpu"] | None = None
-    """Where it runs. Default: as the recipe says."""
+    """Device that it runs on. Default: as the recipe says."""
 
     def __post_init__(self) -> None:
         self.config()
@@ -36,7 +36,7 @@ class TrainingOptions(BenchmarkOptions):
         """The recipe with `set` and `device`; raises ConfigError for a field or a value that cannot be."""
         config = with_fields(recipe(self.recipe), self.set)
         if self.device is not None:
-            config = with_run(config, device=self.device)
+            config = dataclasses.replace(config, run=dataclasses.replace(config.run, device=self.device))
         return config
 
 
@@ -59,19 +59,15 @@ def with_fields(config: TrainConfig, assignments: tuple[str, ...]) -> TrainConfi
     return from_dict(content)
 
 
-def with_run(config: TrainConfig, **fields: Any) -> TrainConfig:
-    return dataclasses.replace(config, run=dataclasses.replace(config.run, **fields))
-
-
 def shortened(config: TrainConfig, num_updates: int) -> TrainConfig:
     """`config` for so many updates, with as little evaluating, recording and saving as a run can do."""
-    config = dataclasses.replace(config, evaluation=EVALUATION, recording=RecordingConfig(num_rollouts=0))
-    return with_run(
-        config,
+    run = dataclasses.replace(
+        config.run,
         total_env_steps=num_updates * config.rollout.steps_per_update,
         max_seconds=0.0,
         checkpoint_every=num_updates + 1,
     )
+    return dataclasses.replace(config, run=run, evaluation=EVALUATION, recording=RecordingConfig(num_rollouts=0))
 
 
 def speeds(rows: list[dict[str, Any]]) -> list[float]:
@@ -85,7 +81,7 @@ def measured(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def shares_of_time(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Of the time of the measured updates, by role; they add up to 1."""
+    """Shares of the time of the measured updates, by role; they add up to 1."""
     weights = [1.0 / speed for speed in speeds(rows)]  # updates have the same number of steps
     return {
         name.removeprefix(SHARE): round(statistics.fmean((row[name] for row in measured(rows)), weights), 4)

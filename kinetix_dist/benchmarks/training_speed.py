@@ -10,14 +10,13 @@ import dataclasses
 import statistics
 from typing import Any, Literal
 
-from kinetix_dist.benchmarks.results import Results
+from kinetix_dist.benchmarks.measuring import Results
 from kinetix_dist.benchmarks.training_options import (
     NUM_WARM_UPDATES,
     TrainingOptions,
     shares_of_time,
     shortened,
     speeds,
-    with_run,
 )
 from kinetix_dist.benchmarks.training_run import TrainingRun, check_placement, number_of_gpus, run_training
 from kinetix_dist.config import TrainConfig
@@ -39,7 +38,9 @@ class Options(TrainingOptions):
 
     def config(self) -> TrainConfig:
         config = super().config()
-        return config if self.placement is None else with_run(config, placement=self.placement)
+        if self.placement is None:
+            return config
+        return dataclasses.replace(config, run=dataclasses.replace(config.run, placement=self.placement))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -52,7 +53,7 @@ class TrainingRecord:
     size: str
     placement: str
     platform: str  # "cpu" or "gpu"
-    device: str  # kind
+    device: str  # its model
     devices: int  # that learn
     gpus: int  # that the run had, for all roles
     worlds: int
@@ -62,7 +63,7 @@ class TrainingRecord:
     slowest: float
     fastest: float
     share_of_time: dict[str, float]  # by role
-    compile_seconds: float | None  # of the process that learns; None where it is not told
+    compile_seconds: float | None  # of the process that learns; None where it is not reported
     wall_seconds: float  # of the run, compiling included
     config_hash: str
     versions: dict[str, str]

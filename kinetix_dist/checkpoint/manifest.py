@@ -24,7 +24,7 @@ def write_manifest(directory: Path) -> None:
 
 
 def manifest_fault(directory: Path) -> str | None:
-    """What is wrong with the files of a checkpoint, in words; None when every file is what was written."""
+    """Fault of the files of a checkpoint, in words; None when every file is as it was written."""
     try:
         files = json.loads((directory / MANIFEST_NAME).read_text())["files"]
         listed = {name: (expected["bytes"], expected["sha256"]) for name, expected in files.items()}

@@ -5,9 +5,11 @@
         checkpoint.json              format, update, whatever the caller describes it by
         manifest.json                SHA-256 of every other file, written last
 
-A checkpoint is written into a hidden directory beside its place (a draft, `.saving-00000040-PID@HOST`), read back,
+A checkpoint is written into a hidden directory of the same parent (a draft, `.saving-00000040-PID@HOST`), read back,
 verified, and only then renamed; older ones are pruned after that. So a process that dies while saving leaves the
 previous checkpoint as the newest, and a draft that the next run removes.
+
+Policies that are bundled with an installation have names: `generalist` is pretrained/generalist of checkout or wheel.
 """
 
 from __future__ import annotations
@@ -28,8 +30,8 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.checkpoint.manifest import manifest_fault, write_manifest
-from kinetix_dist.checkpoint.pretrained import find_checkpoint, pretrained_names
+from kinetix_dist.checkpoint.manifest import MANIFEST_NAME, manifest_fault, write_manifest
+from kinetix_dist.installation import data_directory
 from kinetix_dist.near_names import did_you_mean
 
 FORMAT = 1
@@ -72,7 +74,7 @@ def save_checkpoint(
     ones are then untouched.
     """
     if keep < 1:
-        raise ValueError(f"keep is {keep}; at least 1 checkpoint must be kept")
+        raise ValueError(f"keep is {keep}; at least 1 checkpoint must stay")
     directory.mkdir(parents=True, exist_ok=True)
     final = directory / f"{num_updates:0{_DIGITS}d}"
     draft = directory / f".saving-{final.name}-{os.getpid()}@{socket.gethostname()}"
@@ -98,12 +100,12 @@ def save_checkpoint(
 
 
 def save_alone(to: Path, num_updates: int, arrays: Mapping[str, np.ndarray], description: Mapping[str, Any]) -> None:
-    """One checkpoint at `to` itself, which must not exist, to be kept or sent elsewhere. Raises as `save_checkpoint`.
+    """Saves one checkpoint at `to` itself, which must not exist, to be archived or sent. Raises as `save_checkpoint`.
 
     Its files hold no path of this machine.
     """
     if to.exists():
-        raise CheckpointError(f"{to} exists; choose another place")
+        raise CheckpointError(f"{to} exists; choose another path")
     folder = to.parent / f".{to.name}-draft"
     try:
         written = save_checkpoint(folder, num_updates, arrays, description, keep=1)
@@ -138,7 +140,7 @@ def newest_good(directory: Path) -> tuple[Checkpoint | None, list[Rejected]]:
     for path in reversed(list_checkpoints(directory)):
         try:
             return load_checkpoint(path), rejected
-        except Exception as error:  # Orbax raises many kinds for unreadable arrays: each means "walk back"
+        except Exception as error:  # Orbax raises many classes for unreadable arrays: each means "walk back"
             rejected.append(Rejected(path=path, reason=" ".join(str(error).split()) or type(error).__name__))
     return None, rejected
 
@@ -151,7 +153,7 @@ def list_checkpoints(directory: Path) -> list[Path]:
 
 
 def remove_dead_drafts(directory: Path) -> list[str]:
-    """Removes what processes left that died while saving; returns the names. For whoever holds the run's lock.
+    """Removes drafts of processes that died while saving; returns their names. The caller holds the run's lock.
 
     A draft of a living process of this host stays. One of this process goes: in a container the next process often
     has the number of the one before it, and a run removes drafts before it saves anything. So does one of another host,
@@ -167,14 +169,14 @@ def remove_dead_drafts(directory: Path) -> list[str]:
 
 
 def _is_alive_here(pid: int, host: str | None) -> bool:
-    """Whether another process of this host has this number. host None: a draft of an earlier version."""
+    """True where another process of this host has this number. host None: a draft of an earlier version."""
     if pid == os.getpid() or host not in (None, socket.gethostname()):
         return False
     return Path(f"/proc/{pid}").exists()
 
 
 def _prune(directory: Path, keep: int, *, verified: Path) -> None:
-    """Removes what is older than the newest `keep` good checkpoints. A bad one is counted by nobody.
+    """Removes what is older than the newest `keep` good checkpoints. A bad one does not count.
 
     verified: was found good just now, and is not read again.
     """
@@ -187,7 +189,7 @@ def _prune(directory: Path, keep: int, *, verified: Path) -> None:
 
 
 def _fault(path: Path) -> str | None:
-    """What is wrong with a checkpoint on disk, in words; None for a good one. Arrays are compared by checksum."""
+    """Fault of a checkpoint on disk, in words; None for a good one. Arrays are compared by checksum."""
     try:
         if fault := manifest_fault(path):
             return f"is damaged: {fault}"
@@ -230,7 +232,7 @@ def _without_patterns(path: Path) -> Generator[Path]:
 
 @contextlib.contextmanager
 def _without_its_log() -> Generator[None]:
-    """What Orbax cannot write it raises, and its threads log it with a traceback as well: once is enough."""
+    """Silences the log of Orbax, whose threads log with a traceback what it raises as well."""
     log = logging.getLogger("absl")
     level = log.level
     log.setLevel(logging.CRITICAL)
@@ -265,3 +267,15 @@ def _sync_directory(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def pretrained_names() -> list[str]:
+    """Names of the policies that are here."""
+    return sorted(file.parent.name for file in data_directory("pretrained").glob(f"*/{MANIFEST_NAME}"))
+
+
+def find_checkpoint(path: Path) -> Path:
+    """`path` itself if there is such a directory, else the pretrained policy that it names; `path` if there is none."""
+    if path.is_dir() or path.name != str(path) or path.name not in pretrained_names():
+        return path
+    return data_directory("pretrained") / path.name

@@ -1,4 +1,4 @@
-"""`kinetix-dist bench WHAT [options]`: finds the benchmark, parses its options, prints what it measures.
+"""`kinetix-dist bench WHAT [options]`: finds the benchmark, parses its options, prints its measurements.
 
     kinetix-dist bench engine speed --sizes m --json runs/speed.json
     kinetix-dist bench train --recipe sfl_m
@@ -13,8 +13,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.parsing import PROG, load_module, parse_args
+from kinetix_dist.errors import UserError
 from kinetix_dist.near_names import did_you_mean
 
 BENCHMARKS: dict[str, tuple[str, str]] = {  # name: (module, what it measures)
@@ -30,13 +30,12 @@ BENCHMARKS: dict[str, tuple[str, str]] = {  # name: (module, what it measures)
     "curator": ("kinetix_dist.benchmarks.curator_refresh", "seconds of a refresh of the level buffer"),
 }
 DEFAULT_OF_ENGINE = "engine speed"
-RENAMED = {"--effects": "engine effects", "--growth": "engine growth"}  # flags of `bench engine` in earlier versions
 HELP = ("-h", "--help")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Args:
-    """What `parse` made of the command line."""
+    """Command line as `parse` has read it."""
 
     benchmark: Any  # a module of kinetix_dist.benchmarks
     options: Any  # its `Options`
@@ -57,7 +56,7 @@ def parse(argv: Sequence[str]) -> Args:
 
 def run(args: Args) -> int:
     """Measures, prints lines while it goes, writes the JSON. 1 when any measurement failed, else 0."""
-    from kinetix_dist.benchmarks.results import Results
+    from kinetix_dist.benchmarks.measuring import Results
 
     results = Results(args.options.json, report=_print)
     args.benchmark.measure(args.options, results)
@@ -76,9 +75,6 @@ def _split(argv: list[str]) -> tuple[str, list[str]]:
         raise UserError(f"{given}: {', '.join(BENCHMARKS)}; see `{PROG} bench --help`")
     if argv[0] != "engine":
         return _known(argv[0]), argv[1:]
-    for flag, name in RENAMED.items():
-        if flag in argv:
-            raise UserError(f"{flag} is a benchmark of its own now: {PROG} bench {name}")
     if len(argv) > 1 and not argv[1].startswith("-"):
         return _known(f"engine {argv[1]}"), argv[2:]
     return DEFAULT_OF_ENGINE, argv[1:]

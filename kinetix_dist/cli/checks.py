@@ -1,11 +1,16 @@
-"""Checks of arguments that several commands have, before anything slow happens."""
+"""Checks before a command does anything slow: its arguments, JAX, and the directories of caches."""
 
 from __future__ import annotations
 
+import functools
 import os
+import sys
 from pathlib import Path
 
-from kinetix_dist.cli.errors import UserError
+from kinetix_dist import user_directories
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError
+from kinetix_dist.jax_checks import check_arithmetic, check_settings
 
 MAX_SEED = 2**32 - 1  # what a key of JAX keeps of a seed
 
@@ -23,3 +28,27 @@ def check_output_file(file: Path, option: str = "") -> None:
         what = f"{option} a file" if option else "a file"
         verb = "give" if option else "name"
         raise UserError(f"cannot write {file}; {verb} {what} in a directory that exists and is writable")
+
+
+def start_computing(compile_cache: str = "") -> None:
+    """Before a command computes anything, and after JAX was held to the CPU where it has to be.
+
+    Raises UserError for a JAX that computes wrongly, or has settings with which commands do not run. compile_cache: as
+    `enable_compile_cache` takes it. Says in one line where caches are not where they were to be.
+    """
+    from kinetix_dist.program_cache import OFF, enable_compile_cache
+
+    check_settings()
+    check_arithmetic()
+    if said := user_directories.settle():
+        _say(said)
+    if enable_compile_cache(compile_cache) is None and compile_cache != OFF:
+        _say(
+            "the compile cache cannot be written: programs are compiled again by every command; set "
+            "JAX_COMPILATION_CACHE_DIR to a directory that can"
+        )
+
+
+@functools.cache  # once a command, which may start to compute in two places
+def _say(line: str) -> None:
+    say(f"kinetix-dist: {line}", sys.stderr)

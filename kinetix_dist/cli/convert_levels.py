@@ -20,8 +20,8 @@ from typing import Literal
 import tyro
 
 from kinetix_dist.cli.checks import check_output_file
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
-from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError, one_line, user_errors
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
 
@@ -60,8 +60,8 @@ def run_import(args: Import) -> int:
         return 0
     if args.name is not None:
         raise UserError("--name is for one file; levels of a directory are named after their files")
-    from kinetix_dist.level.foreign_files import foreign_files
     from kinetix_dist.level.sets import level_files
+    from kinetix_dist.level.structure import foreign_files
 
     with user_errors(*_EXPECTED):
         files = level_files(args.source, "**/*.json")
@@ -150,4 +150,4 @@ def _export_file(file: Path, out: Path, size: str | None) -> str:
 
 def _refuse_same(file: Path, out: Path) -> None:
     if out.exists() and out.samefile(file):
-        raise ValueError(f"{file} would be written over by what is made of it; name another place")
+        raise ValueError(f"{file} would be written over by what is made of it; name another path")

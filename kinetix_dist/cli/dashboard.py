@@ -4,8 +4,8 @@
     kinetix-dist dashboard runs/quickstart runs/other   these two
     kinetix-dist dashboard --port 9000 --open           in a browser, at another port
 
-Nothing is written to a run, and nothing is fetched from a network. The address that is printed carries a token: who
-has it sees the runs.
+Nothing is written to a run, and nothing is fetched from a network. The printed address carries a token, which opens
+the runs.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from typing import Annotated
 
 import tyro
 
-from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.page_server import ServerArgs, serve_pages
+from kinetix_dist.errors import UserError
+from kinetix_dist.studio.server.app import ServerConfig
 
 RUNS = Path("runs")
 
@@ -33,4 +34,4 @@ class Args(ServerArgs):
 def run(args: Args) -> int:
     if not args.paths and not RUNS.is_dir():
         raise UserError(f"there is no directory {RUNS}/ here; name a run directory, or a directory of runs")
-    return serve_pages("dashboard", args, paths=args.paths or (RUNS,))
+    return serve_pages("dashboard", args, ServerConfig(paths=args.paths or (RUNS,)))

@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 from kinetix_dist import user_directories
 from kinetix_dist.cli.doctor_probes import ProbeError, run_probe
-from kinetix_dist.engine_package import ENGINE, engine_complaint, engine_note
+from kinetix_dist.installation import ENGINE, engine_complaint, engine_note
 
 PACKAGE = "kinetix-dist"
 MIN_PYTHON = (3, 11)
@@ -140,7 +140,7 @@ def check_packages() -> Iterator[Check]:
 
 
 def check_engine() -> Check:
-    """Whether `jax2d` is the engine of this installation and not the published package of that name."""
+    """Checks that `jax2d` is the engine of this installation and not the published package of that name."""
     if line := engine_complaint() or engine_note():
         detail, remedy = line.split("; ", 1)
         return Check(name="engine", status="error" if engine_complaint() else "warning", detail=detail, remedy=remedy)
@@ -161,8 +161,8 @@ def _probed(
 
 
 def _judge_jax(facts: dict[str, Any]) -> str:
-    kinds = ", ".join(sorted(set(facts["devices"])))
-    return f"{facts['version']}, {len(facts['devices'])} {facts['platform']} device(s): {kinds}"
+    names = ", ".join(sorted(set(facts["devices"])))
+    return f"{facts['version']}, {len(facts['devices'])} {facts['platform']} device(s): {names}"
 
 
 def _judge_warp(facts: dict[str, Any]) -> str:
@@ -174,7 +174,7 @@ def _judge_warp(facts: dict[str, Any]) -> str:
 
 
 def check_warp(probed: Check) -> Check:
-    """A backend that works on one kind of device only is a warning, on none an error."""
+    """Judges the backends: one that works on some devices only is a warning, on none an error."""
     broken = [device for device, result in probed.facts.get("kernel", {}).items() if "error" in result]
     if not broken:
         return probed
@@ -188,7 +188,7 @@ def _judge_ray(facts: dict[str, Any]) -> str:
 
 
 def check_gpu(jax_check: Check, *, required: bool) -> Check:
-    """Whether there is an NVIDIA GPU and JAX uses it."""
+    """Checks that there is an NVIDIA GPU and JAX uses it."""
     failure: Literal["warning", "error"] = "error" if required else "warning"
     try:
         driver = run_probe("driver")
@@ -208,14 +208,14 @@ def check_gpu(jax_check: Check, *, required: bool) -> Check:
 
 
 def check_kernels(jax_check: Check) -> Check:
-    """Whether `policy.kernels` "fused" can run. XLA computes the same everywhere, so its absence is no fault."""
+    """Checks that `policy.kernels` "fused" can run. XLA computes the same everywhere, so its absence is no fault."""
     why_not = jax_check.facts["no_kernels"]
     detail = f"policy.kernels: xla only ({why_not})" if why_not else "policy.kernels: xla and fused"
     return Check(name="kernels", status="ok", detail=detail, facts={"fused": not why_not})
 
 
 def check_arithmetic(jax_check: Check) -> Check:
-    """Whether JAX computes on the CPU what numpy does, where some versions do not."""
+    """Checks that JAX computes on the CPU what numpy does; some versions do not."""
     if complaint := jax_check.facts["wrong_arithmetic"]:
         detail, remedy = complaint.split("; ", 1)
         return Check(name="arithmetic", status="error", detail=detail, remedy=remedy)
@@ -223,7 +223,7 @@ def check_arithmetic(jax_check: Check) -> Check:
 
 
 def check_caches() -> Check:
-    """Writes a file to each directory that training writes to beside the run's own: compiled programs, Ray's files."""
+    """Writes a file to each directory that training writes to besides the run's own: compiled programs, Ray's files."""
     replaced = user_directories.settle()
     directories = cache_directories()
     failures = [f"{name} {path} ({why})" for name, path in directories.items() if (why := _why_not_written(path))]
@@ -235,13 +235,13 @@ def check_caches() -> Check:
     if replaced:
         detail, remedy = replaced.split("; ", 1)
         return Check(name="caches", status="warning", detail=detail, remedy=remedy, facts=facts)
-    places = ", ".join(f"{name} {path}" for name, path in directories.items())
-    return Check(name="caches", status="ok", detail=f"written: {places}", facts=facts)
+    written = ", ".join(f"{name} {path}" for name, path in directories.items())
+    return Check(name="caches", status="ok", detail=f"written: {written}", facts=facts)
 
 
 def cache_directories() -> dict[str, Path]:
     """Directories of JAX's, Warp's and Ray's files, as training finds them, by name."""
-    from kinetix_dist.telemetry.compile_cache import directory_of
+    from kinetix_dist.program_cache import directory_of
 
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return {

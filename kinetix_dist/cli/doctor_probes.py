@@ -1,4 +1,4 @@
-"""What `doctor` tries out in a process of its own: `python -m kinetix_dist.cli.doctor_probes NAME`.
+"""Probes that `doctor` runs in a process of their own: `python -m kinetix_dist.cli.doctor_probes NAME`.
 
 A driver that hangs or a library that crashes then costs one check, not the report. A probe prints one
 JSON object as its last line; an exception ends the process with its message on stderr.
@@ -14,8 +14,8 @@ import time
 from typing import Any
 
 from kinetix_dist.child_python import command_of
-from kinetix_dist.cli.errors import one_line
-from kinetix_dist.engine_package import ENGINE
+from kinetix_dist.errors import one_line
+from kinetix_dist.installation import ENGINE
 
 MODULE = "kinetix_dist.cli.doctor_probes"
 TIMEOUT_S = 120.0  # a first start of CUDA on a large host takes tens of seconds
@@ -48,8 +48,7 @@ def probe_jax() -> dict[str, Any]:
     import jax.numpy as jnp
 
     from kinetix_dist.errors import UserError
-    from kinetix_dist.jax_arithmetic import arithmetic_complaint
-    from kinetix_dist.jax_settings import check_settings
+    from kinetix_dist.jax_checks import arithmetic_complaint, check_settings
     from kinetix_dist.models.kernels.support import why_no_device
 
     try:
@@ -72,14 +71,14 @@ def probe_jax() -> dict[str, Any]:
 
 
 def probe_ray() -> dict[str, Any]:
-    """Whether ray can be imported; no cluster is started."""
+    """Checks that ray can be imported; no cluster is started."""
     import ray
 
     return {"version": ray.__version__}
 
 
 def probe_driver() -> dict[str, Any]:
-    """The CUDA version that the NVIDIA driver supports and the number of GPUs, asked of the driver itself."""
+    """The CUDA version that the NVIDIA driver supports and the number of GPUs, by the driver itself."""
     import ctypes
 
     cuda = ctypes.CDLL("libcuda.so.1")

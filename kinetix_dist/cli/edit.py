@@ -18,11 +18,11 @@ from typing import Annotated
 import tyro
 
 from kinetix_dist.cli.dashboard import RUNS
-from kinetix_dist.cli.errors import UserError
 from kinetix_dist.cli.page_server import ServerArgs, serve_pages
-from kinetix_dist.level.paths import levels_root
-from kinetix_dist.level.set_files import designed_files, designed_names
+from kinetix_dist.errors import UserError
+from kinetix_dist.level.level_data import designed_files, designed_names, levels_root
 from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.studio.server.app import ServerConfig
 from kinetix_dist.studio.server.editor_pages import EditorConfig
 from kinetix_dist.studio.server.level_files import SUFFIX, LevelFiles
 
@@ -39,7 +39,9 @@ class Args(ServerArgs):
 
 def run(args: Args) -> int:
     editor = editor_of(args.level)
-    return serve_pages("editor", args, paths=(RUNS,) if RUNS.is_dir() else (), editor=editor, first_page=PAGE)
+    return serve_pages(
+        "editor", args, ServerConfig(paths=(RUNS,) if RUNS.is_dir() else (), editor=editor, first_page=PAGE)
+    )
 
 
 def editor_of(given: str | None) -> EditorConfig:
@@ -57,11 +59,11 @@ def editor_of(given: str | None) -> EditorConfig:
     if len(designed) > 1:
         raise UserError(f"level {given!r} is in more than one size; name one of {', '.join(map(str, designed))}")
     if not designed:
-        otherwise = (
+        help_text = (
             "`kinetix-dist levels list` names "
             f"levels, and a new file has a name that ends in {SUFFIX}, in a directory that is there"
         )
-        hint = did_you_mean(given, designed_names(), otherwise)
+        hint = did_you_mean(given, designed_names(), help_text)
         raise UserError(f"{given!r} is no designed level, level file or directory of them; {hint}")
     name = designed[0].relative_to(levels_root()).with_suffix("").as_posix()
     return EditorConfig(opens=f"designed/{name}")

@@ -23,7 +23,7 @@ import tyro
 
 from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.checkpoint import Checkpoint
@@ -74,10 +74,10 @@ def run(args: Args) -> int:
     check(args)
     trained = trained_of(args)
     checkpoint = None if trained is None else trained.checkpoint
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.env.physics import describe
+    from kinetix_dist.level.level_data import base_levels
     from kinetix_dist.level.sets import load_level_set
-    from kinetix_dist.level.varied_sets import base_levels
 
     start_computing("" if trained is None else trained.config.run.compile_cache)
     with user_errors(ValueError, OSError):
@@ -115,11 +115,11 @@ def run(args: Args) -> int:
     return 0
 
 
-def _attempts_in_words(rates: SolveRates, asked: int) -> str:
+def _attempts_in_words(rates: SolveRates, requested: int) -> str:
     number = rates.attempts_per_level
-    if number == asked:
+    if number == requested:
         return f"{number} attempts each"
-    return f"one attempt each (all {asked} are the same, since nothing is drawn: n is the number of levels)"
+    return f"one attempt each (all {requested} are the same, since nothing is drawn: n is the number of levels)"
 
 
 def table(name: str, rates: dict[str, SolveRates]) -> str:
@@ -226,7 +226,7 @@ def trained_of(args: Args) -> Trained | None:
 
 
 def environment_of(args: Args, trained: Trained | None, levels: Level) -> Environment:
-    """The environment that the policy was trained in, or the default one; with the physics asked for."""
+    """The environment that the policy was trained in, or the default one; with the requested physics."""
     from jax2d.settings import preset
     from kinetix_dist.env.environment import EnvConfig, Environment
     from kinetix_dist.level.fit import capacity_of
@@ -241,7 +241,7 @@ def environment_of(args: Args, trained: Trained | None, levels: Level) -> Enviro
 
 
 def players_of(args: Args, trained: Trained | None, env: Environment, levels: Level) -> dict[str, Player]:
-    """Players by name, the one asked for first."""
+    """Players by name, the requested one first."""
     from kinetix_dist.evaluation.policies import NoopPolicy, Player, RandomPolicy
 
     players: dict[str, Player] = {}

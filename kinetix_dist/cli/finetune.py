@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kinetix_dist.cli import train
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
-from kinetix_dist.cli.last_words import say
 from kinetix_dist.cli.option_help import wants_help
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
@@ -49,7 +49,7 @@ USAGE = f"""usage: {PROG} --levels SET [--from CKPT] [--each [--compare]] [optio
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Args:
-    """What `parse` made of the command line."""
+    """Command line as `parse` has read it."""
 
     train: train.Args | None  # None: only draw
     starts: tuple[Start, ...] = ()  # with --each
@@ -94,7 +94,7 @@ def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
     start = SCRATCH if trained is None else start_from(trained)
 
     def adjust(recipe: TrainConfig) -> TrainConfig:
-        """The recipe for the levels and the policy asked for."""
+        """The recipe for the requested levels and policy."""
         run = dataclasses.replace(recipe.run, name="finetune", start_from=start.checkpoint)
         if known.each:
             run = dataclasses.replace(run, placement="local")
@@ -121,7 +121,7 @@ def _check(known: argparse.Namespace) -> None:
     if known.start == "":
         raise UserError("--from is empty; name a checkpoint, a run or a pretrained policy, or leave it out")
     if known.compare and not (known.each and known.start):
-        raise UserError("--compare puts specialists from scratch beside those of a policy; give --each and --from too")
+        raise UserError("--compare puts specialists from scratch next to those of a policy; give --each and --from too")
     if known.stop_at is not None and not known.each:
         raise UserError("--stop-at is when a specialist ends; give --each too")
     if known.stop_at is not None and not 0.0 < known.stop_at <= 1.0:
@@ -142,7 +142,7 @@ def run(args: Args) -> int:
 
 def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
     """The configuration with the size of the largest level, unless one was given or the policy plays one size only."""
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.env.observations import OBSERVATIONS, VECTOR
     from kinetix_dist.level.fit import capacity_of
     from kinetix_dist.level.level import SIZES

@@ -4,7 +4,7 @@
     kinetix-dist levels generate mine --like my_levels               by a model that learns what those levels are like
     kinetix-dist levels generate mine --teacher runs/paired_s        by the teacher of a PAIRED run
 
-What is written plays wherever levels are asked for: `kinetix-dist edit mine`, `eval --levels mine`.
+The files play wherever levels are requested: `kinetix-dist edit mine`, `eval --levels mine`.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import tyro
 
 from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_seed
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.level.level import Level
     from kinetix_dist.level.level_generators import LevelGenerator
 
-MAX_ROUNDS = 8  # of drawing as many levels as are asked for, until enough do not solve themselves
+MAX_ROUNDS = 8  # of drawing as many levels as are requested, until enough do not solve themselves
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,8 +37,7 @@ class Generate:
     size: Literal["s", "m", "l"] | None = None
     """Of random levels, "m" if left out; other levels have the size of the set or the run."""
     generator: str | None = None
-    """Which random levels: "default", "kinetix", "locomotion", "tasks" or one of its kinds, such as "car";
-    default if nothing else is asked for."""
+    """Which random levels: "default", "kinetix", "locomotion", "tasks" or one of its families, such as "car"."""
     like: str | None = None
     """Levels between those of this set, directory or random set (random_s, ...): an autoencoder is trained on them."""
     steps: int | None = None
@@ -52,7 +51,7 @@ class Generate:
 def run_generate(args: Generate) -> int:
     """0 when all levels are written; nothing is written where they cannot be drawn."""
     _check(args)
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
 
     start_computing("")
     with user_errors(ValueError, OSError):
@@ -86,7 +85,7 @@ def _check(args: Generate) -> None:
 
 
 def _source(args: Generate) -> tuple[LevelGenerator, str, str]:
-    """Where levels come from, their size, and how their files are named."""
+    """Source of levels, their size, and the names of their files."""
     from kinetix_dist.level.fit import capacity_of_size
     from kinetix_dist.level.generator_config import generator
     from kinetix_dist.level.level_generators import RandomLevels
@@ -136,9 +135,9 @@ def _draw(args: Generate, source: LevelGenerator) -> tuple[list[Level], int, int
     import numpy as np
 
     from jax2d.scene import index_worlds
-    from kinetix_dist.level.noop import NOOP_STEPS, noop_solved
+    from kinetix_dist.level.simulation import NOOP_STEPS, noop_solved
 
-    kept: list[Level] = []
+    unsolved: list[Level] = []
     num_drawn = num_solved = 0
     key = prng.fold_in(prng.key(args.seed), 1)
     generate = jax.jit(source.generate, static_argnums=1)
@@ -146,11 +145,11 @@ def _draw(args: Generate, source: LevelGenerator) -> tuple[list[Level], int, int
         levels = jax.device_get(generate(prng.fold_in(key, number), args.count))
         is_solved = np.asarray(noop_solved(levels))
         num_drawn, num_solved = num_drawn + args.count, num_solved + int(is_solved.sum())
-        kept += [index_worlds(levels, i) for i in np.flatnonzero(~is_solved)]
-        if len(kept) >= args.count:
-            return kept[: args.count], num_drawn, num_solved
+        unsolved += [index_worlds(levels, i) for i in np.flatnonzero(~is_solved)]
+        if len(unsolved) >= args.count:
+            return unsolved[: args.count], num_drawn, num_solved
     raise UserError(
-        f"of {num_drawn} levels drawn only {len(kept)} do not solve themselves within {NOOP_STEPS} steps; ask for "
+        f"of {num_drawn} levels drawn only {len(unsolved)} do not solve themselves within {NOOP_STEPS} steps; ask for "
         "fewer, or for others"
     )
 

@@ -5,8 +5,8 @@
     kinetix-dist train --recipe sfl_m --from pretrained/sfl-1m-envs --policy.network transformer_kinetix \\
         --policy.dtype float32 --env.observation entity_kinetix
 
-Reads what the package's `save_pretrained_checkpoint` writes: params.safetensors, and config.json beside it. Pickles
-(model.pbz2) are refused: reading one could run anything.
+Reads what the package's `save_pretrained_checkpoint` writes: params.safetensors and config.json in one directory.
+Pickles (model.pbz2) are refused: reading one could run anything.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.text_files import read_json
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def run(args: Args) -> int:
     if not args.out.parent.is_dir():
         raise UserError(f"{args.out.parent} is not a directory; choose another --out")
     from kinetix_dist.checkpoint import CheckpointError, flatten_arrays, save_alone
-    from kinetix_dist.checkpoint.safetensors_file import SafetensorsError, read_safetensors
+    from kinetix_dist.checkpoint.arrays import SafetensorsError, read_safetensors
     from kinetix_dist.config import to_dict
     from kinetix_dist.env.action_spaces import ACTION_SPACES
     from kinetix_dist.env.observations.kinetix_entities import NUM_FEATURES
@@ -102,7 +102,7 @@ def run(args: Args) -> int:
 
 
 def _policy_config(path: Path, legacy_entity_id: bool | None) -> PolicyConfig:
-    """Of the options in config.json; those that are not there are the paper's. The tree itself shows wrong sizes."""
+    """Network by the options in config.json; missing ones are the paper's. The tree itself shows wrong sizes."""
     from kinetix_dist.models.policy import PolicyConfig
 
     model = _model_options(path)
@@ -124,7 +124,7 @@ def _policy_config(path: Path, legacy_entity_id: bool | None) -> PolicyConfig:
 
 
 def _model_options(path: Path) -> dict[str, Any]:
-    """What config.json says of the network; nothing where there is no such file."""
+    """Options of the network in config.json; none where there is no such file."""
     if not path.is_file():
         return {}
     with user_errors(ValueError, OSError, prefix=f"{path}: "):

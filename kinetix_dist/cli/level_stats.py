@@ -1,4 +1,4 @@
-"""`kinetix-dist levels stats`: what a generator draws, as shares and distributions, beside what another one draws.
+"""`kinetix-dist levels stats`: what a generator draws, as shares and distributions, next to what another one draws.
 
 kinetix-dist levels stats --size m                                   10,000 levels of the default generator
 kinetix-dist levels stats --size m --generator kinetix --json m.json
@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
-from kinetix_dist.cli.errors import UserError, user_errors
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.text_files import read_json
 
 _FAR = 4.5  # standard errors; 80 statistics exceed it by chance once in 1,500 reports
@@ -23,12 +23,12 @@ _FAR = 4.5  # standard errors; 80 statistics exceed it by chance once in 1,500 r
 
 @dataclasses.dataclass(frozen=True)
 class Stats:
-    """Describe random levels in numbers: how many of everything, sizes, places, joints, motors, thrusters, overlaps."""
+    """Describe random levels in numbers: counts, sizes, positions, joints, motors, thrusters, overlaps."""
 
     size: Literal["s", "m", "l"] = "m"
     """Of the levels."""
     generator: str = "default"
-    """Which distribution: "default", "kinetix" (the public package's), "locomotion", "tasks" or one of its kinds."""
+    """Which distribution: "default", "kinetix" (the public package's), "locomotion", "tasks" or one of its families."""
     levels: int = 10_000
     """How many to draw, unfiltered."""
     seed: int = 0
@@ -36,7 +36,7 @@ class Stats:
     json: Path | None = None
     """Also write the statistics here."""
     beside: Path | None = None
-    """A file that --json (of this size) or bench/published_levels.py wrote: shown beside these, with how far apart."""
+    """A file that --json (of this size) or bench/published_levels.py wrote: shown next to these, with how far apart."""
 
 
 def run_stats(args: Stats) -> int:
@@ -45,7 +45,7 @@ def run_stats(args: Stats) -> int:
     from kinetix_dist.level.fit import capacity_of_size
     from kinetix_dist.level.generator import generate_levels
     from kinetix_dist.level.generator_config import generator
-    from kinetix_dist.level.noop import NOOP_STEPS, noop_solved
+    from kinetix_dist.level.simulation import NOOP_STEPS, noop_solved
     from kinetix_dist.level.statistics import Share, describe, statistics
 
     if args.levels < 1:
@@ -112,7 +112,7 @@ def _show(args: Stats, found: dict[str, Any], reference: dict[str, Any] | None) 
 
 
 def _has(value: Any) -> bool:
-    """Whether there is anything to compare: a sample of numbers may be empty."""
+    """True where there is anything to compare: a sample of numbers may be empty."""
     from kinetix_dist.level.statistics import Share
 
     return isinstance(value, Share) or len(value) > 0

@@ -11,12 +11,12 @@ from typing import Annotated, Any
 import tyro
 
 from kinetix_dist.cli.convert_levels import Export, Import, run_export, run_import
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.cli.generate_levels import Generate, run_generate
 from kinetix_dist.cli.level_stats import Stats, run_stats
 from kinetix_dist.cli.play_level import Play, run_play
 from kinetix_dist.cli.render_levels import Render, run_render
 from kinetix_dist.cli.solve_levels import Solve, run_solve
+from kinetix_dist.errors import UserError, one_line, user_errors
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
 
@@ -51,7 +51,7 @@ class Validate:
     strict: bool = False
     """A level with a warning is wrong too."""
     play: bool = True
-    """Also play each level while nobody acts: that it solves itself is a warning."""
+    """Also play each level without actions: that it solves itself is a warning."""
 
 
 Args = (
@@ -169,8 +169,8 @@ def _text(value: Any) -> str:
 
 
 def _validate(args: Validate) -> int:
-    from kinetix_dist.level.foreign_files import foreign_files
     from kinetix_dist.level.sets import data_files
+    from kinetix_dist.level.structure import foreign_files
 
     files: list[Path] = []
     foreign = ""
@@ -201,7 +201,7 @@ def _validate(args: Validate) -> int:
 
 
 def _warnings_of(path: Path, *, plays: bool) -> list[str]:
-    """Of a valid level; says what was mended of a public file. Raises _EXPECTED for what is wrong."""
+    """Warnings about a valid level; says what was mended of a public file. Raises _EXPECTED for an invalid one."""
     from kinetix_dist.env.env_config import EnvConfig
     from kinetix_dist.level.fit import capacity_of_size, fit_level
     from kinetix_dist.level.proof import is_proof_document, read_proof

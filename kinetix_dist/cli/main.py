@@ -6,7 +6,7 @@ Each subcommand is a module of this package with
     run(args) -> int      the exit status, 0 for success
 
 and, only where the flags depend on what else is given (a recipe that sets defaults, the name of a benchmark),
-`parse(argv) -> Args`, which calls `parsing.parse_args`. A module is imported when its command is asked for and not
+`parse(argv) -> Args`, which calls `parsing.parse_args`. A module is imported when its command is called and not
 before, so `kinetix-dist doctor` still answers on a machine where ray, warp or jax cannot be imported.
 
 Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was given something wrong
@@ -23,11 +23,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from kinetix_dist import user_directories
-from kinetix_dist.cli.errors import EXIT_USER_ERROR, UserError, one_line
-from kinetix_dist.cli.last_words import leave, say
-from kinetix_dist.cli.parsing import PROG, load_module, parse_args
-from kinetix_dist.cli.streams import prepare_streams
-from kinetix_dist.engine_package import engine_complaint
+from kinetix_dist.cli.parsing import EXIT_USER_ERROR, PROG, load_module, parse_args
+from kinetix_dist.cli.streams import exit_now_if_blocked, prepare_streams, say
+from kinetix_dist.errors import UserError, one_line
+from kinetix_dist.installation import engine_complaint
 from kinetix_dist.level.structure import LevelNote
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.renamed_settings import RenamedSettingError, refuse_old_words
@@ -58,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     status = _run(list(sys.argv[1:] if argv is None else argv))
     # Others may have more to say than a slow reader has taken so far.
     if argv is None and sys.argv[1:2] in (["train"], ["finetune"]):
-        leave(status)
+        exit_now_if_blocked(status)
     return status
 
 
@@ -78,12 +77,12 @@ def _run(argv: list[str]) -> int:
         warnings.showwarning = others
 
 
-def _show_warning(others: Callable[..., None], message: Any, category: type[Warning], *place: Any) -> None:
-    """A note about a level file as one line on stderr; `others` shows warnings of other kinds."""
+def _show_warning(others: Callable[..., None], message: Any, category: type[Warning], *position: Any) -> None:
+    """A note about a level file as one line on stderr; `others` shows other warnings."""
     if issubclass(category, LevelNote):
         say(f"{PROG}: {one_line(message)}", sys.stderr)
     else:
-        others(message, category, *place)
+        others(message, category, *position)
 
 
 def _dispatch(argv: list[str]) -> int:

@@ -4,7 +4,7 @@
     kinetix-dist train --help ppo.anneal    one section
     kinetix-dist train --help-all           every option, by tyro
 
-A section is a dataclass of the configuration, an option a field; its meaning is the comment beside the field.
+A section is a dataclass of the configuration, an option a field; its meaning is the comment next to the field.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from kinetix_dist.cli.errors import UserError
+from kinetix_dist.errors import UserError
 from kinetix_dist.near_names import did_you_mean
 
 HELP, HELP_ALL = ("-h", "--help"), "--help-all"
@@ -40,13 +40,13 @@ def options_help(argv: Sequence[str], config: Any, prog: str) -> str:
     is none."""
     sections = sections_of(config)
     position = next(index for index, word in enumerate(argv) if word in HELP)
-    asked = [word for word in argv[position + 1 : position + 2] if not word.startswith("-")]
-    if not asked:
+    names = [word for word in argv[position + 1 : position + 2] if not word.startswith("-")]
+    if not names:
         return "\n".join([*_everyday(config), "", *_about_sections(sections, prog)])
-    name = asked[0].replace("-", "_")
+    name = names[0].replace("-", "_")
     if name not in sections:
         hint = did_you_mean(name, sections, f"sections are {', '.join(sections)}")
-        raise UserError(f"there is no section {asked[0]!r} of options; {hint}")
+        raise UserError(f"there is no section {names[0]!r} of options; {hint}")
     lines = [_summary(sections[name]), ""]
     lines += [line for field in _options(sections[name]) for line in _option(name, field, sections[name])]
     if nested := [other for other in sections if other.startswith(f"{name}.")]:
@@ -66,7 +66,7 @@ def sections_of(config: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def comments_of(section: type) -> dict[str, str]:
-    """Comment beside each field, by name; fields without one are left out."""
+    """Comment next to each field, by name; fields without one are left out."""
     found = {}
     for line in inspect.getsource(section).splitlines():
         if match := re.match(r"    (\w+): [^#]*#\s*(.+)$", line):

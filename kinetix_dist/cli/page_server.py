@@ -1,4 +1,4 @@
-"""Options of the commands that serve pages, and what they print."""
+"""Options of the commands that serve pages, and their lines on the terminal."""
 
 from __future__ import annotations
 
@@ -8,21 +8,19 @@ import os
 import socket
 import sys
 import webbrowser
-from typing import Any
 
-from kinetix_dist.cli.errors import UserError
-from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError
 from kinetix_dist.studio.server.access import is_loopback
-from kinetix_dist.studio.server.app import DEFAULT_PORT, ServerConfig
-from kinetix_dist.studio.server.serving import serve
+from kinetix_dist.studio.server.app import DEFAULT_PORT, ServerConfig, serve
 
 
 @dataclasses.dataclass
 class ServerArgs:
-    """Where pages are served, to whom."""
+    """Address at which pages are served, and who may read them."""
 
     port: int = DEFAULT_PORT
-    """Where to listen; the next free one if it is busy, any if 0."""
+    """Port to listen on; the next free one if it is busy, any if 0."""
     host: str = "127.0.0.1"
     """The address to listen on; others than 127.0.0.1 can be reached from other machines, without encryption."""
     allow_host: tuple[str, ...] = ()
@@ -33,11 +31,13 @@ class ServerArgs:
     """Start a process that plays levels and draws them when it is needed; without it pages that need it say so."""
 
 
-def serve_pages(name: str, args: ServerArgs, **config: Any) -> int:
-    """Until Ctrl-C. name: what the address is called; config: further fields of ServerConfig."""
+def serve_pages(name: str, args: ServerArgs, pages: ServerConfig) -> int:
+    """Serves pages until Ctrl-C at the address of `args`. name: what the address is called."""
     if not 0 <= args.port <= 65535:
         raise UserError(f"--port is {args.port}; it must be 0 to 65535")
-    server = ServerConfig(port=args.port, host=args.host, allowed_hosts=args.allow_host, has_play=args.play, **config)
+    server = dataclasses.replace(
+        pages, port=args.port, host=args.host, allowed_hosts=args.allow_host, has_play=args.play
+    )
 
     def listening(token: str, port: int) -> None:
         address = f"http://{_in_address(args.host)}:{port}/?token={token}"
@@ -57,7 +57,7 @@ def serve_pages(name: str, args: ServerArgs, **config: Any) -> int:
 
 
 def _in_address(host: str) -> str:
-    """The name of this machine under which an address that is listened on is reached."""
+    """Name of this machine under which an address that is listened on is reached."""
     if host in ("0.0.0.0", "::"):
         return socket.gethostname()
     return f"[{host}]" if ":" in host else host

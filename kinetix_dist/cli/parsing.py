@@ -1,4 +1,4 @@
-"""Arguments of a command: parsed by tyro, with every complaint in one line; and modules imported when asked for."""
+"""Arguments of a command: parsed by tyro, with every complaint in one line; and modules imported when needed."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from kinetix_dist.cli.errors import UserError, one_line
+from kinetix_dist.errors import UserError, one_line
 
 PROG = "kinetix-dist"
+EXIT_USER_ERROR = 2  # a command that fails because of what it was given: one line on stderr (`UserError`)
 OWN_PACKAGES = ("kinetix_dist", "jax2d")
 
 

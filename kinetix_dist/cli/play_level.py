@@ -15,9 +15,10 @@ from pathlib import Path
 import tyro
 
 from kinetix_dist.cli.edit import PAGE, editor_of
-from kinetix_dist.cli.errors import UserError, user_errors
 from kinetix_dist.cli.page_server import ServerArgs, serve_pages
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.studio.server.app import ServerConfig
 
 WITHOUT_A_NETWORK = ("keys", "random", "noop")
 
@@ -38,11 +39,11 @@ def run_play(args: Play) -> int:
         raise UserError("--no-play starts no engine, which playing needs; leave it out")
     plays, runs = _player(args.policy)
     editor = dataclasses.replace(editor_of(_level_to_open(args.level)), plays=plays)
-    return serve_pages("play", args, paths=runs, editor=editor, first_page=PAGE)
+    return serve_pages("play", args, ServerConfig(paths=runs, editor=editor, first_page=PAGE))
 
 
 def _level_to_open(given: str) -> str:
-    """What the editor opens: of a directory of one level its file. Raises UserError for what is not one level."""
+    """File that the editor opens: of a directory of one level its file. Raises UserError for anything else."""
     from kinetix_dist.level.sets import file_of_level, read_level
 
     with user_errors(ValueError, OSError):
@@ -52,8 +53,8 @@ def _level_to_open(given: str) -> str:
 
 
 def _player(policy: str) -> tuple[str, tuple[Path, ...]]:
-    """What pages call a policy, and the runs that are served for it."""
-    from kinetix_dist.checkpoint.pretrained import pretrained_names
+    """Name of a policy on pages, and the runs that are served for it."""
+    from kinetix_dist.checkpoint.store import pretrained_names
     from kinetix_dist.studio.runs.run_files import is_run
 
     if policy in WITHOUT_A_NETWORK:

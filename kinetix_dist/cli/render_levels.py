@@ -20,7 +20,7 @@ import tyro
 
 from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
+from kinetix_dist.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.level.level import Level
@@ -77,7 +77,7 @@ def _check(args: Render) -> None:
     """Complains before anything slow happens."""
     suffix = args.out.suffix.lower()
     if suffix not in (".png", ".gif"):
-        raise UserError(f"{args.out} is neither .png nor .gif; name a picture of one of these kinds")
+        raise UserError(f"{args.out} is neither .png nor .gif; name a picture of one of these formats")
     if args.by == "start" and suffix == ".gif":
         raise UserError("how a level starts does not move; name a .png, or give --by noop, random, proof or trained")
     if (args.by == "trained") != (args.checkpoint is not None):
@@ -109,19 +109,19 @@ def _rollouts(args: Render) -> list[Rollout]:
     """One rollout of each level, without actions, with random ones or by a policy."""
 
     from kinetix_dist.cli import eval_command
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.evaluation.recordings import record_rollouts
 
     assert args.by in ("noop", "random", "trained")
-    asked = eval_command.Args(
+    requested = eval_command.Args(
         levels=args.levels, checkpoint=args.checkpoint, policy=args.by, preset=args.preset, baselines=False
     )
-    eval_command.check(asked)
-    trained = eval_command.trained_of(asked)
+    eval_command.check(requested)
+    trained = eval_command.trained_of(requested)
     start_computing("" if trained is None else trained.config.run.compile_cache)
     levels, names = _levels(args)
-    env = eval_command.environment_of(asked, trained, levels)
-    player = eval_command.players_of(asked, trained, env, levels)[args.by]
+    env = eval_command.environment_of(requested, trained, levels)
+    player = eval_command.players_of(requested, trained, env, levels)[args.by]
     return record_rollouts(env, player, levels, prng.key(args.seed), names=names, seed=args.seed)
 
 
@@ -129,9 +129,9 @@ def _proofs(args: Render) -> tuple[list[Rollout], list[str]]:
     """Replays of the stored proofs, and what is wrong with some."""
     from kinetix_dist.cli.solve_levels import Solve, proof_tasks, replay_proofs
 
-    asked = Solve(levels=args.levels, check=True, preset=args.preset or "standard")
+    requested = Solve(levels=args.levels, check=True, preset=args.preset or "standard")
     with user_errors(ValueError, OSError):
-        replayed = replay_proofs(asked, proof_tasks(asked)[: args.count])
+        replayed = replay_proofs(requested, proof_tasks(requested)[: args.count])
     faults = [f"{task.name}: {one_line(fault)}" for task, _, _, fault in replayed if fault is not None]
     rollouts = [rollout for _, _, rollout, _ in replayed if rollout is not None]
     if not rollouts:
@@ -151,7 +151,7 @@ def _draw_starts(args: Render) -> None:
     from jax2d.draw import draw
     from jax2d.images import film_strip, write_png
     from jax2d.scene import index_worlds
-    from kinetix_dist.level.start import start_state
+    from kinetix_dist.level.simulation import start_state
 
     levels, names = _levels(args)
     scale = _pixels_per_metre(args, len(names), of_one=100.0)

@@ -21,8 +21,8 @@ from typing import Annotated
 import tyro
 
 from kinetix_dist.child_python import command_of
-from kinetix_dist.cli.errors import UserError, user_errors
-from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.telemetry.recording import RecordingError, Rollout
 from kinetix_dist.text_files import is_hidden
 
@@ -34,7 +34,7 @@ class Args:
     source: Annotated[Path, tyro.conf.Positional]
     """A recording (*.mcap) or a run directory."""
     to: Path | None = None
-    """Where to write the .rrd; beside the recording if nothing else is asked for."""
+    """Path of the .rrd; next to the recording by default."""
     view: bool = False
     """Open the .rrd in rerun."""
     connect: str | None = None
@@ -167,5 +167,5 @@ def _view(target: Path) -> int:
             f"no display to open rerun on; {target} is written: open it elsewhere, "
             f"or `rerun {target} --serve-web --bind 127.0.0.1` and a browser"
         )
-    # rerun listens on all interfaces unless told otherwise.
+    # rerun listens on all interfaces by default.
     return subprocess.run(command_of("rerun", target, "--bind", "127.0.0.1"), check=False).returncode

@@ -24,7 +24,7 @@ import numpy as np
 import tyro
 
 from kinetix_dist.cli.checks import check_seed
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
+from kinetix_dist.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.env.environment import Environment
@@ -56,7 +56,7 @@ class Solve:
     checkpoint: Path | None = None
     """Whose policy --method policy plays: a checkpoint directory, or a pretrained policy such as generalist."""
     proofs: Path | None = None
-    """The directory of the proofs; left out: levels/proofs for designed levels, else beside each level file."""
+    """The directory of the proofs; left out: levels/proofs for designed levels, else next to each level file."""
     worlds: int = 512
     """Worlds played at once."""
     seed: int = 0
@@ -79,7 +79,7 @@ class ProofTask:
 def run_solve(args: Solve) -> int:
     """0, or 1 where a level is without a good proof at the end."""
     _check(args)
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
 
     start_computing("")
     with user_errors(ValueError, OSError):
@@ -115,7 +115,7 @@ def _check(args: Solve) -> None:
 
 
 def proof_tasks(args: Solve) -> list[ProofTask]:
-    """One of each level asked for. Raises ValueError or OSError for what is no level or has no files."""
+    """One of each requested level. Raises ValueError or OSError for what is no level or has no files."""
     from kinetix_dist.level.fit import capacity_of_size, fit_level
     from kinetix_dist.level.proof import proof_path
     from kinetix_dist.level.sets import files_of_set, read_level
@@ -182,7 +182,7 @@ def _robustness(args: Solve, task: ProofTask, proof: Proof) -> float:
 
 
 def _write_picture(path: Path, rollouts: list[Rollout]) -> None:
-    """How each rollout ended, in rows that make the whole about square."""
+    """Draws the end of each rollout, in rows that make the picture about square."""
     from jax2d.images import film_strip, write_png
     from kinetix_dist.telemetry.pictures import moment_picture
 
@@ -198,7 +198,7 @@ def _write_picture(path: Path, rollouts: list[Rollout]) -> None:
 def replay_proofs(
     args: Solve, tasks: list[ProofTask]
 ) -> list[tuple[ProofTask, Proof | None, Rollout | None, str | None]]:
-    """Of each level its proof, how that goes, and what is wrong with it in one line (None: nothing)."""
+    """Replays of proofs: of each level its proof, its rollout, and its fault in one line (None: none)."""
     from kinetix_dist.evaluation.proofs import fault_of_replay, replay
 
     results: list[tuple[ProofTask, Proof | None, Rollout | None, str | None]] = []

@@ -1,15 +1,17 @@
-"""Standard streams of a command: closed ones, those that nobody reads any more, and those that are not UTF-8.
+"""Standard streams of a command: closed ones, those without a reader, hanging ones, and those that are not UTF-8.
 
-None of these is a reason for a command to fail: its work is files, and its exit status says how that went. What cannot
-be shown in the encoding of a stream is shown as "?".
+None of these is a reason for a command to fail: its work is files, and its exit status says how that went. Text that
+the encoding of a stream does not have is shown as "?". Output at the exit of a command waits for no hanging reader.
 """
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
+import select
 import sys
-from typing import Any
+from typing import Any, TextIO
 
 _NAMES = ("stdin", "stdout", "stderr")  # by descriptor
 
@@ -34,7 +36,7 @@ def _open_nothing_at(number: int) -> None:
 
 
 def _for_any_reader(stream: Any) -> Any:
-    """The same stream, which drops what nobody reads; another kind of stream stays as it is."""
+    """The same stream, which drops text without a reader; another class of stream stays as it is."""
     if not isinstance(stream, io.TextIOWrapper):
         return stream
     stream.flush()
@@ -53,3 +55,36 @@ class _DroppingFile(io.FileIO):
             return super().write(content)
         except BrokenPipeError:
             return memoryview(content).nbytes
+
+
+PATIENCE_S = 1.0  # for a reader to empty the pipe
+_CHUNK_BYTES = 512  # POSIX: where a pipe is ready for writing, so many bytes do not block
+
+
+def say(text: str, stream: TextIO) -> None:
+    """Writes lines to a standard stream. Text that a full pipe does not take within PATIENCE_S is left out."""
+    try:
+        number = stream.fileno()
+        is_pipe = not stream.isatty()
+    except (OSError, ValueError):  # no file, but what collects text
+        is_pipe = False
+    if not is_pipe:
+        print(text, file=stream, flush=True)
+        return
+    content = f"{text}\n".encode(stream.encoding or "utf-8", errors="replace")
+    with contextlib.suppress(OSError):  # the reader is gone, or the disk is full
+        if _is_writable(number, PATIENCE_S):
+            stream.flush()
+        while content and _is_writable(number, PATIENCE_S):
+            content = content[os.write(number, content[:_CHUNK_BYTES]) :]
+
+
+def exit_now_if_blocked(status: int) -> None:
+    """Ends this process where a standard stream is full: Python would wait for it, or fail, at exit."""
+    if not all(_is_writable(stream.fileno(), 0.0) for stream in (sys.stdout, sys.stderr)):
+        os._exit(status)
+
+
+def _is_writable(number: int, seconds: float) -> bool:
+    """True where a descriptor takes data. Files always do, and so does a pipe without a reader: writing fails there."""
+    return bool(select.select([], [number], [], seconds)[1])

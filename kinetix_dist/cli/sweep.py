@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from kinetix_dist.cli.errors import UserError, user_errors
-from kinetix_dist.cli.last_words import say
+from kinetix_dist.cli.streams import say
 from kinetix_dist.cli.sweep_tables import arms_table, console, effects_table, print_aliases, scores_table
+from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.sweep.arms import Run
     from kinetix_dist.sweep.design import Design
     from kinetix_dist.sweep.driver import Sweep
-    from kinetix_dist.sweep.lanes import Lane
+    from kinetix_dist.sweep.slots import Slot
 
 RUNS = Path("runs")
 PICTURE = "sweep.png"
@@ -40,8 +40,8 @@ class Args:
     minutes: float | None = None
     """Wall time that this may take; left out: as long as it takes. What is running then is stopped and saved."""
     plan: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print arms, lanes, time and aliases; train nothing."""
-    lanes: int = 0
+    """Print arms, slots, time and aliases; train nothing."""
+    slots: int = 0
     """Runs at a time, one a GPU, or on CPUs one for as many cores; 0: all free GPUs, on CPUs one."""
     out: Path | None = None
     """Directory of the results; left out: runs/NAME."""
@@ -51,14 +51,14 @@ def run(args: Args) -> int:
     from kinetix_dist.sweep.arms import hash_of, runs_of
     from kinetix_dist.sweep.design import DesignError, read_design
     from kinetix_dist.sweep.driver import check_design
-    from kinetix_dist.sweep.lanes import Lane
+    from kinetix_dist.sweep.slots import Slot
 
     if args.minutes is not None and not args.minutes > 0:
         raise UserError(f"--minutes is {args.minutes:g}; give a number above 0")
-    if args.lanes < 0:
-        raise UserError(f"--lanes is {args.lanes}; give a number of 1 or more, or 0")
+    if args.slots < 0:
+        raise UserError(f"--slots is {args.slots}; give a number of 1 or more, or 0")
     if sys.platform != "linux":
-        raise UserError(f"a sweep holds its runs to lanes by means of Linux; this is {sys.platform}")
+        raise UserError(f"a sweep holds its runs to worker slots by means of Linux; this is {sys.platform}")
     with user_errors(DesignError):
         design = read_design(args.design)
     with user_errors(DesignError, prefix=f"{args.design}: "):
@@ -66,24 +66,24 @@ def run(args: Args) -> int:
     path = args.out or RUNS / design.name
     check_design(path, hash_of(design, runs))
     if not args.plan:
-        return _train(args, design, runs, _lanes(runs, args.lanes), path)
+        return _train(args, design, runs, _slots(runs, args.slots), path)
     try:
-        return _print_plan(args, design, runs, _lanes(runs, args.lanes), path)
+        return _print_plan(args, design, runs, _slots(runs, args.slots), path)
     except _TooFewDevicesError as error:
-        if not args.lanes:
-            raise UserError(f"{error}; --lanes N plans for N of them") from error
-        lanes = [Lane(name=f"gpu {number}", gpu=str(number)) for number in range(args.lanes)]
-        return _print_plan(args, design, runs, lanes, path, missing=str(error))
+        if not args.slots:
+            raise UserError(f"{error}; --slots N plans for N of them") from error
+        slots = [Slot(name=f"gpu {number}", gpu=str(number)) for number in range(args.slots)]
+        return _print_plan(args, design, runs, slots, path, missing=str(error))
 
 
 class _TooFewDevicesError(UserError):
-    """Not on this machine, or not now."""
+    """Devices are missing on this machine, or are not free now."""
 
 
-def _lanes(runs: list[Run], asked: int) -> list[Lane]:
-    """Raises UserError for arms that cannot run in any lane, then _TooFewDevicesError."""
+def _slots(runs: list[Run], requested: int) -> list[Slot]:
+    """Raises UserError for arms that cannot run in any slot, then _TooFewDevicesError."""
     from kinetix_dist.runtime import PlacementError, count_gpus, plan_placement, resolve_device
-    from kinetix_dist.sweep.lanes import cpu_lanes, gpu_lanes
+    from kinetix_dist.sweep.slots import cpu_slots, gpu_slots
 
     if "RAY_ADDRESS" in os.environ:
         raise UserError("RAY_ADDRESS is set, but arms run on this machine, each in a Ray of its own; unset it")
@@ -91,7 +91,7 @@ def _lanes(runs: list[Run], asked: int) -> list[Lane]:
     devices = set()
     for one in runs:
         with user_errors(PlacementError, ValueError, prefix=f"arm {one.arm.name}: "):
-            # A lane has one GPU; whether there is any is asked below.
+            # A slot has one GPU; the check that there is any comes below.
             device = resolve_device(one.config.run.device, num_gpus=max(num_gpus, one.config.run.device == "gpu"))
             devices.add(device)
             if one.config.run.placement != "local":
@@ -99,19 +99,19 @@ def _lanes(runs: list[Run], asked: int) -> list[Lane]:
     if len(devices) > 1:
         raise UserError("some arms run on GPUs and some on CPUs; give all the same run.device")
     if devices == {"cpu"}:
-        return cpu_lanes(asked)
+        return cpu_slots(requested)
     if not num_gpus:
         raise _TooFewDevicesError("arms are to run on GPUs (run.device), but no GPU is visible here")
     try:
-        return gpu_lanes(asked)
+        return gpu_slots(requested)
     except UserError as error:
         raise _TooFewDevicesError(str(error)) from error
 
 
 def _print_plan(
-    args: Args, design: Design, runs: list[Run], lanes: list[Lane], path: Path, *, missing: str = ""
+    args: Args, design: Design, runs: list[Run], slots: list[Slot], path: Path, *, missing: str = ""
 ) -> int:
-    """missing: why these lanes are not there."""
+    """missing: why these slots are not there."""
     from kinetix_dist.sweep.arms import hash_of
     from kinetix_dist.sweep.driver import done_so_far
     from kinetix_dist.sweep.rungs import check_fits, predicted_seconds, stage_sizes
@@ -122,30 +122,30 @@ def _print_plan(
         print_aliases(screen, design)
     sets = ", ".join(f"{name} x {weight:g}" for name, weight in design.objective.sets.items())
     done = done_so_far(path, runs)
-    minutes = predicted_seconds(design, list(done.values()), len(lanes)) / 60
+    minutes = predicted_seconds(design, list(done.values()), len(slots)) / 60
     lines = [
         f"objective  {sets}, every {design.objective.every_seconds:g} s of training from second "
         f"{design.objective.from_second:g} on",
         *(f"rung       {count} runs until second {until:g}" for count, until in stage_sizes(design, len(runs))),
-        f"lanes      {', '.join(lane.name for lane in lanes)}" + (f"; not there now: {missing}" if missing else ""),
+        f"slots      {', '.join(slot.name for slot in slots)}" + (f"; not there now: {missing}" if missing else ""),
         f"time       {minutes:.1f} minutes predicted for what is left, {design.start_seconds:g} s a run not training",
         f"results    {path}, hash {hash_of(design, runs)}",
     ]
     for line in lines:
         screen.print(line, soft_wrap=True, highlight=False)
     if args.minutes is not None:
-        check_fits(design, done, len(lanes), args.minutes)
+        check_fits(design, done, len(slots), args.minutes)
     return 0
 
 
-def _train(args: Args, design: Design, runs: list[Run], lanes: list[Lane], path: Path) -> int:
+def _train(args: Args, design: Design, runs: list[Run], slots: list[Slot], path: Path) -> int:
     from kinetix_dist.runtime import EXIT_STOPPED, StopSignals
     from kinetix_dist.sweep.driver import RunsFailedError, Sweep, SweepStoppedError, done_so_far, seconds_to_stop
     from kinetix_dist.sweep.rungs import check_fits
 
     began = time.monotonic()
     if args.minutes is not None:  # before a directory is made
-        check_fits(design, done_so_far(path, runs), len(lanes), args.minutes)
+        check_fits(design, done_so_far(path, runs), len(slots), args.minutes)
     sweep = Sweep(design, runs, path)
     hint = "; the same command goes on"
     # A second signal ends this process at once, and its runs by the signal that they get then.
@@ -157,11 +157,11 @@ def _train(args: Args, design: Design, runs: list[Run], lanes: list[Lane], path:
             is_over = args.minutes is not None and time.monotonic() - began > 60 * args.minutes
             return f"stopped after {args.minutes:g} minutes" if is_over else None
 
-        print(f"sweep {path}  hash {sweep.hash}  lanes {', '.join(lane.name for lane in lanes)}", flush=True)
+        print(f"sweep {path}  hash {sweep.hash}  slots {', '.join(slot.name for slot in slots)}", flush=True)
         print(f"watch it   kinetix-dist dashboard {shlex.quote(str(path / 'arms'))}", flush=True)
         status = 0
         try:
-            sweep.train(lanes, tell=_tell, must_stop=must_stop)
+            sweep.train(slots, report=_print_line, must_stop=must_stop)
         except SweepStoppedError as error:
             say(f"kinetix-dist: {error}{hint}", sys.stderr)
             status = EXIT_STOPPED
@@ -190,5 +190,5 @@ def _report(sweep: Sweep) -> None:
         print(f"written    {sweep.path / RESULTS}, {sweep.path / PICTURE}")
 
 
-def _tell(line: str) -> None:
+def _print_line(line: str) -> None:
     print(time.strftime("%H:%M:%S"), line, flush=True)

@@ -21,9 +21,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
-from kinetix_dist.cli.last_words import say
 from kinetix_dist.cli.option_help import HELP_ALL, WIDTH, options_help, wants_help
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError, one_line, user_errors
 from kinetix_dist.text_files import read_json
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ DEFAULT_RECIPE = "quickstart"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Args:
-    """What `parse` made of the command line."""
+    """Command line as `parse` has read it."""
 
     config: TrainConfig
     run: Path | None  # None: runs/NAME, numbered
@@ -176,7 +176,7 @@ def run(args: Args) -> int:
 
 def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.checkpoint import CheckpointError
-    from kinetix_dist.cli.computing import start_computing
+    from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.env.device_memory import DeviceMemoryError
     from kinetix_dist.env.physics import describe
     from kinetix_dist.models.kernels.support import KernelError
@@ -198,7 +198,7 @@ def _run(args: Args, stop: StopSignals) -> None:
     if args.resume and _is_finished(args):
         return
     if "RAY_ADDRESS" not in os.environ or config.run.placement == "local":
-        with user_errors(PlacementError):  # before a directory is made; a cluster is asked when it is connected
+        with user_errors(PlacementError):  # before a directory is made; a cluster is checked when it is connected
             resolve_device(config.run.device, num_gpus=count_gpus())
             if config.run.placement != "local":
                 plan_placement(config, num_gpus=count_gpus())
@@ -240,7 +240,7 @@ def _run(args: Args, stop: StopSignals) -> None:
 
 
 def _is_finished(args: Args) -> bool:
-    """Whether the run to resume is at the end that its configuration asks for; says so, and how it goes on."""
+    """True where the run to resume is at the end that its configuration sets; says so, and how it goes on."""
     from kinetix_dist.runtime import finished_report
 
     assert args.run is not None

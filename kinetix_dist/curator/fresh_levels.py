@@ -15,9 +15,8 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array, Capacity
-from kinetix_dist.level.filters import OVERSAMPLING, keep_unsolved
 from kinetix_dist.level.fit import pad_levels
-from kinetix_dist.level.generator import level_keys
+from kinetix_dist.level.generator import OVERSAMPLING, keep_unsolved, level_keys
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.generator_program import draw_levels
 from kinetix_dist.level.level import SIZES, Level

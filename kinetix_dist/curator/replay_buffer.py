@@ -25,8 +25,7 @@ from kinetix_dist.curator.config import PlrConfig
 from kinetix_dist.curator.replay_scores import UNKNOWN
 from kinetix_dist.curator.scores import solve_rate
 from kinetix_dist.level.features import FEATURES, features_of_arrays
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.select import select_first
+from kinetix_dist.level.level import Level, select_first
 from kinetix_dist.telemetry.curriculum_log import LEVELS
 
 NEVER = -1  # `born` of a place that holds no level yet

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
-from kinetix_dist.level.select import select_first
+from kinetix_dist.level.level import select_first
 
 
 def select_worlds_last(done: Array, initial: Any, current: Any) -> Any:

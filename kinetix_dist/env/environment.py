@@ -36,8 +36,8 @@ from kinetix_dist.env.observations import OBSERVATIONS, Moving, Observation
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
 from kinetix_dist.env.reward import Outcome, goal_distance, judge, reward_of, role_masks
 from kinetix_dist.env.stepper import GroupedStepper, Stepper
-from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.simulation import level_effects
 from kinetix_dist.level.walls import empty_level
 
 

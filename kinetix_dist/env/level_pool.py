@@ -13,11 +13,11 @@ from kinetix_dist import prng
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
-from kinetix_dist.level.filters import generate_filtered
+from kinetix_dist.level.generator import generate_filtered
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.level.simulation import noop_solved
 
 RANDOM = "random"  # name of levels that are drawn from a seed
 

@@ -1,4 +1,4 @@
-"""The rule of `level/noop.py` with an environment's engines, frame skip and time limit."""
+"""The rule of `level/simulation.py` with an environment's engines, frame skip and time limit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from jax2d.scene import Array, Controls, Touching
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.noop import NOOP_STEPS, is_solved_without_actions
+from kinetix_dist.level.simulation import NOOP_STEPS, is_solved_without_actions
 
 
 def noop_solved(env: Environment, levels: Level, num_steps: int = NOOP_STEPS) -> Array:

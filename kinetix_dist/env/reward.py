@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array, pack_bits
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Role
 
 
 @jax.tree_util.register_dataclass

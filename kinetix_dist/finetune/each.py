@@ -79,7 +79,7 @@ def summary(record: Record) -> str:
 
 
 class _Progress:
-    """One line that is kept up to date."""
+    """One line of progress, written over."""
 
     def __init__(self, config: TrainConfig, phase: str) -> None:
         self._steps_per_update = config.rollout.steps_per_update
@@ -104,7 +104,7 @@ class _Progress:
 
 
 def _alone(config: TrainConfig) -> TrainConfig:
-    """What is asked for of each specialist. Raises UserError for what specialists do not have."""
+    """Configuration of each specialist. Raises UserError for settings that specialists do not have."""
     if config.run.placement != "local":
         raise UserError(
             f"run.placement is {config.run.placement!r}, but specialists train in this process; use 'local', or leave "

@@ -1,4 +1,4 @@
-"""The picture of specialists: samples to each threshold, level by level, from scratch beside from a policy."""
+"""The picture of specialists: samples to each threshold, level by level, from scratch and from a policy."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def _samples(panel: Any, records: Sequence[Record], levels: list[str], threshold
         reached, missed = [], []
         for record in mine:
             steps = record["env_steps_to"][str(threshold)]
-            place = levels.index(record["level"]) + offset
-            (missed if steps is None else reached).append((record["env_steps"] if steps is None else steps, place))
+            row = levels.index(record["level"]) + offset
+            (missed if steps is None else reached).append((record["env_steps"] if steps is None else steps, row))
         label = f"{mine[0]['label']}: {len(reached)} of {len(mine)}"
         panel.plot(*_columns(reached), "o", color=colour, label=label)
         panel.plot(*_columns(missed), ">", color=colour, fillstyle="none", label=None)

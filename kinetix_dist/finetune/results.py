@@ -1,6 +1,6 @@
 """The results of specialists: a directory that is complete after every level, and goes on where it was left.
 
-    OUT/design.json              what was asked for: another design is refused
+    OUT/design.json              the design: another one is refused
     OUT/scratch/hop_home.json    one specialist: its curve, samples to each threshold, final rate, seconds
     OUT/scratch/hop_home/        its policy, a checkpoint of parameters
     OUT/sfl_s/hop_home.json      the same from a policy
@@ -22,6 +22,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.checkpoint import flatten_arrays, save_alone
 from kinetix_dist.config import TrainConfig, differing, numbers_of, to_dict
 from kinetix_dist.errors import UserError, one_line, user_errors
@@ -31,7 +32,6 @@ from kinetix_dist.finetune.specialists import Point, Specialist
 from kinetix_dist.finetune.starts import FROM_SCRATCH, Start
 from kinetix_dist.level.level import Level
 from kinetix_dist.runtime import LOCK_NAME, RunDirectoryError, lock_directory, versions
-from kinetix_dist.telemetry.json_lines import replace_file
 from kinetix_dist.text_files import read_json
 
 FORMAT = 1
@@ -52,7 +52,7 @@ _OF_A_SPECIALIST: dict[str, type] = {
 
 
 def design_of(config: TrainConfig, levels: Level, names: Sequence[str], *, stop_at: float) -> Record:
-    """What all specialists of a directory share, whatever they start from: plain values.
+    """Design of a directory, which all its specialists share whatever they start from: plain values.
 
     config: without a start. levels [L, ...] with their names; a level that was changed makes another design.
     """
@@ -68,8 +68,8 @@ def design_of(config: TrainConfig, levels: Level, names: Sequence[str], *, stop_
 
 
 class ResultsDirectory:
-    """Of one design, for one process at a time. Raises UserError where the directory is of another design, in use, or
-    cannot be written."""
+    """Results of one design, for one process at a time. Raises UserError where the directory is of another design, in
+    use, or cannot be written."""
 
     def __init__(self, path: Path, design: Record) -> None:
         self.path = path
@@ -101,7 +101,7 @@ class ResultsDirectory:
             )
 
     def done(self, start: Start, level: str) -> Record | None:
-        """What is stored of a specialist; None where it is still to be trained. Raises UserError where it started from
+        """Stored results of a specialist; None where it is still to be trained. Raises UserError where it started from
         another policy of the same name."""
         file = self._file(start, level)
         if not file.exists():
@@ -180,7 +180,7 @@ def read_results(path: Path) -> list[Record]:
 
 
 def _digest(level: Level) -> str:
-    """Of all numbers of a level."""
+    """Digest of all numbers of a level."""
     digest = hashlib.sha256()
     for name, array in sorted(flatten_arrays(level).items()):
         digest.update(f"{name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
@@ -201,7 +201,7 @@ def _read_json(file: Path) -> Record:
         raise UserError(f"{file} cannot be read ({one_line(error)}); {advice}") from None
     if not isinstance(content, dict):
         raise UserError(f"{file} holds no object; {advice}")
-    for name, kind in (_OF_A_DESIGN if is_design else _OF_A_SPECIALIST).items():
-        if not isinstance(content.get(name), kind):
-            raise UserError(f"{file} is damaged: {name!r} is missing or of another kind; {advice}")
+    for name, expected in (_OF_A_DESIGN if is_design else _OF_A_SPECIALIST).items():
+        if not isinstance(content.get(name), expected):
+            raise UserError(f"{file} is damaged: {name!r} is missing or of another type; {advice}")
     return content

@@ -26,6 +26,7 @@ from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate
 from kinetix_dist.level.level import Level
 from kinetix_dist.models.policy import make_policy
+from kinetix_dist.program_cache import compile_seconds, count_compile_seconds
 from kinetix_dist.runtime import (
     EVALUATION_STREAM,
     LearnerCore,
@@ -36,7 +37,6 @@ from kinetix_dist.runtime import (
     make_environment,
     training_metrics,
 )
-from kinetix_dist.telemetry.compile_time import compile_seconds, count_compile_seconds
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -115,8 +115,8 @@ class Specialists:
     ) -> Specialist:
         """A specialist for `level` ([1, ...] on every field).
 
-        start: parameters as `starting_point` gives them; None: from the seed. on_update: told the number of updates
-        done and the metrics of the last.
+        start: parameters as `starting_point` gives them; None: from the seed. on_update: called with the number of
+        updates done and the metrics of the last.
         """
         compiled_before = compile_seconds()
         self._learner.start(start)

@@ -1,4 +1,4 @@
-"""What specialists start from: the seed, or the parameters of a policy that exists."""
+"""Starting points of specialists: the seed, or the parameters of a policy that exists."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Start:
 
     @property
     def label(self) -> str:
-        """For a person."""
+        """Name for a person."""
         return "from scratch" if self.description is None else f"from {self.name}"
 
 
@@ -49,16 +49,16 @@ def start_from(trained: Trained) -> Start:
         raise UserError(f"{path} has no name for results; give a checkpoint in a directory of its own")
     if name == FROM_SCRATCH:
         raise UserError(f"{path} is called {name!r} like a start from the seed; rename the directory")
-    told = checkpoint.description
+    description = checkpoint.description
     return Start(
         name=name,
         checkpoint=str(path),
         description={
             "checkpoint": str(path),
             "sha256": hashlib.sha256((path / MANIFEST_NAME).read_bytes()).hexdigest(),  # of the sums of all its files
-            "policy_updates": told["num_updates"],
-            "env_steps": told.get("env_steps"),
-            "config_hash": told.get("config_hash"),
+            "policy_updates": description["num_updates"],
+            "env_steps": description.get("env_steps"),
+            "config_hash": description.get("config_hash"),
             "start_from": trained.config.run.start_from,  # what that policy was trained from in its turn
         },
     )

@@ -40,7 +40,10 @@ from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.step_size import Sizes, average, guarded, sizes
 from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.gru import has_memory
+from kinetix_dist.models.kernels.cuda_kernel import CUSTOM_CALLS
+from kinetix_dist.models.kernels.support import traced_for
 from kinetix_dist.models.stored import stored
+from kinetix_dist.program_cache import ProgramKey, exported_on_mesh, is_cacheable
 
 METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps", "learning_rate")
 
@@ -48,6 +51,7 @@ METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps", "l
 IN_SPECS = PartitionSpec(), PartitionSpec(DATA_AXIS), PartitionSpec(None, DATA_AXIS), PartitionSpec(DATA_AXIS)
 OUT_SPECS = PartitionSpec(), PartitionSpec()  # and what it gives: learner state, metrics
 
+CACHE = "updates"  # folder in the program cache
 Update = Callable[[LearnerState, StaticInput, Trajectory, Array], tuple[LearnerState, dict[str, Array]]]
 
 
@@ -112,6 +116,35 @@ def make_update(
         return on_mesh(state, static, trajectory, last_value)
 
     return jax.jit(update)
+
+
+@functools.lru_cache(maxsize=8)
+def exported_update(
+    policy: nn.Module,
+    observation: Observation,
+    distribution: ActionDistribution,
+    config: PpoConfig,
+    mesh: Mesh,
+    *,
+    division: Division | None = None,
+) -> Update:
+    """Returns `make_update`, from the program cache where a process has traced it for equal arguments and arrays.
+
+    An update with a part of a class from outside of this project is traced in every process: that code may change.
+    """
+    update = make_update(policy, observation, distribution, config, mesh, division=division)
+    parts = policy, observation, distribution
+    if not is_cacheable(*parts):
+        return update
+    key = ProgramKey(
+        kind=CACHE,
+        module=__name__,
+        parts=parts,
+        depends_on=(config, division),
+        at_trace=traced_for,
+        custom_calls=CUSTOM_CALLS,
+    )
+    return exported_on_mesh(update, key, mesh, in_specs=IN_SPECS, out_specs=OUT_SPECS)
 
 
 def advantages_of(trajectory: Trajectory, last_value: Array, config: PpoConfig) -> Array:

@@ -1,4 +1,4 @@
-"""The form in which levels are kept: two that look alike and move alike are alike, number by number, whoever made them.
+"""Canonical form of levels: two that look alike and move alike are equal, number by number, whatever their source.
 
     corners of a polygon   counter-clockwise, first the one with the smallest polar angle about the centroid, in
                            [0, 2 pi) and the shape's own frame: a box begins at (+, +)
@@ -6,9 +6,9 @@
     axis of a slider       an angle in [-pi, pi]; one within is kept bit for bit
     speed of a wheel       positive, as random and public levels have it (`turned_colours`)
 
-A policy reads all of this as it is stored, so that an order of its own in a file, an importer or a generator would be
-a difference that it has to learn. `derive` brings every level into this form; whatever makes levels ends
-there. Slots are not ordered: policies see shapes as a set. Everything here is pure and traceable.
+A policy reads these numbers as they are stored: another order in a file, an importer or a generator would be a
+difference to learn. `derive` brings every level into this form; every source of levels ends there. Slots are not
+ordered: policies see shapes as a set. Everything here is pure and traceable.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ import jax.numpy as jnp
 from jax2d.fields import Array
 from jax2d.scene import JointDrive, JointKind, Joints
 from jax2d.shapes import polygon_mass_properties
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, Level
-from kinetix_dist.level.select import select_first
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, Level, select_first
 
 SEAM_TOLERANCE_RAD = 1e-4  # a corner at angle 0 is computed at up to some 1e-5 rad to either side of it in float32
 
@@ -47,13 +46,12 @@ def canonical(level: Level, is_fixed: Array) -> Level:
 def turned_colours(level: Level, is_fixed: Array) -> Array:
     """`[4]` bool: motor colours that `canonical` turns round, of a level whose ends of joints are in order.
 
-    Whether forward or backward is the way to the goal is for who acts to find out, and where a speed is negative the
-    two have changed places. Between two polygons random levels have both signs, and about hubs levels with arms do; but
-    every wheel of theirs, and of the public levels, has a positive speed: what drives a wheel by a negative one is
-    driven the wrong way by a policy that never saw one. A wheel is a circle that moves and that a revolute joint with a
-    motor that obeys the colour holds to a polygon. So where all wheels of a colour have negative speeds, all motors of
-    the colour get the other sign: the same level, whose actions forward and backward of this colour have changed
-    places.
+    A policy has to find out whether forward or backward leads to the goal, and a negative speed exchanges the two.
+    Random levels have both signs between two polygons and about the hubs of arms, but every wheel of random and public
+    levels has a positive speed: a policy that never saw a negative one drives it the wrong way. A wheel is a circle
+    that moves and that a revolute joint with a motor that obeys the colour holds to a polygon. So where all wheels of a
+    colour have negative speeds, all motors of the colour get the other sign: the same level, whose actions forward and
+    backward of this colour have changed places.
     """
     joints = level.scene.joints
     num_polygons = level.scene.shapes.num_vertices.shape[0]
@@ -76,7 +74,7 @@ def turn_round(level: Level, colours: Array) -> Level:
 
 
 def _obeys(level: Level) -> Array:
-    """`[J]` bool: motors that do what the action of their colour says."""
+    """`[J]` bool: motors that follow the action of their colour."""
     joints = level.scene.joints
     return jnp.asarray(joints.active) & joints.motor_on & ~jnp.asarray(level.motor_auto)
 
@@ -137,5 +135,5 @@ def _wrapped(angle: Array) -> Array:
 
 
 def negative(x: Array) -> Array:
-    """-x, and 0 of 0: a negative zero would be another number in files."""
+    """-x, and 0 of 0: a negative zero would be a different number in files."""
     return jnp.where(x == 0, 0, -jnp.asarray(x)).astype(jnp.asarray(x).dtype)

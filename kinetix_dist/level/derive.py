@@ -1,8 +1,8 @@
-"""What follows from a level's geometry: centres of mass, masses, inertias, who may touch whom, and the canonical form.
+"""Consequences of a level's geometry: centres of mass, masses, inertias, contact permissions and the canonical form.
 
-One source of truth for files, importers, the generator and mutators: they say what the shapes are, these functions
-say the rest, and bring corners and ends of joints into the order of `canonical.py`. Everything here is pure and
-traceable, for one level; `jax.vmap` gives a batch.
+Files, importers, the generator and mutators give shapes, joints and thrusters; these functions compute the rest and
+bring corners and ends of joints into the order of `canonical.py`. Everything here is pure and traceable, for one level;
+`jax.vmap` gives a batch.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 from jax2d.scene import Array
 from jax2d.shapes import circle_mass_properties, polygon_mass_properties
 from kinetix_dist.level.canonical import canonical
-from kinetix_dist.level.connections import connections
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.walls import COLLIDES_WITH_ALL
 
@@ -49,7 +48,7 @@ def touch_permissions(
 def centre_on_mass(level: Level) -> Level:
     """Moves the origin of each polygon's frame to its area centroid; the world looks the same afterwards.
 
-    Shifts position, vertices, joint anchors and thruster positions. What is centred stays as it is, bit for bit.
+    Shifts position, vertices, joint anchors and thruster positions. Centred shapes stay as they are, bit for bit.
     """
     scene = level.scene
     num_polygons, num_circles = scene.shapes.num_vertices.shape[0], scene.shapes.radius.shape[0]
@@ -115,3 +114,22 @@ def _centre_and_derive(level: Level, is_fixed: Array) -> Level:
 def complete(level: Level, is_fixed: np.ndarray) -> Level:
     """`derive` on numpy arrays and about centres of mass, for levels that come from files or are built by hand."""
     return jax.tree.map(np.asarray, _centre_and_derive(level, is_fixed))
+
+
+def connections(end_a: Array, end_b: Array, joint_active: Array, num_shapes: int) -> tuple[Array, Array]:
+    """Shapes that one joint holds together, and that any number of joints do: two [..., n, n] bool, symmetric and True
+    on the diagonal.
+
+    end_a, end_b [..., J] int32: the shapes a joint holds; joint_active [..., J] bool.
+    """
+    index = jnp.arange(num_shapes)
+    ends_a = (end_a[..., None] == index) & joint_active[..., None]
+    ends_b = (end_b[..., None] == index) & joint_active[..., None]
+    joined = (ends_a[..., :, None] & ends_b[..., None, :]).any(axis=-3)
+    one = joined | jnp.swapaxes(joined, -1, -2) | jnp.eye(num_shapes, dtype=bool)
+    any_number = one
+    # Each squaring doubles the length of the chains followed; the longest has a joint between any two shapes.
+    longest = min(joint_active.shape[-1], num_shapes - 1)
+    for _ in range(max(longest - 1, 0).bit_length()):
+        any_number = (any_number[..., :, :, None] & any_number[..., None, :, :]).any(axis=-2)
+    return one, any_number

@@ -12,8 +12,7 @@ import numpy as np
 from jax2d.scene import JointKind
 from kinetix_dist.level.fit import capacity_of, smallest_size
 from kinetix_dist.level.kinetix_walls import USUAL_WALLS, PublicWalls
-from kinetix_dist.level.level import NUM_WALLS, Level
-from kinetix_dist.level.roles import ROLE_NAMES
+from kinetix_dist.level.level import NUM_WALLS, ROLE_NAMES, Level
 from kinetix_dist.level.walls import WALL_NAMES
 
 FORMAT_NAME = "kinetix-dist-level"
@@ -24,7 +23,7 @@ COLLISION_NAMES = ("ghost", "normal", "all")  # collision modes 0, 1, 2
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LevelInfo:
-    """What a document says about a level besides the level."""
+    """Name, size and description of a level in its document."""
 
     name: str
     size: str

@@ -1,4 +1,4 @@
-"""A level being drawn: what exists so far, and adding one candidate to it.
+"""A level being drawn: its shapes, joints and thrusters so far, additions to it, and its slots in random order.
 
 Arrays have the final capacity. Writes go to a traced slot through a mask, which under `vmap` is a select instead of
 a scatter. Masses and contact permissions are left to `derive`, once, at the end.
@@ -13,10 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.fields import Array
+from jax2d.fields import Array, replace
 from jax2d.scene import Capacity, JointDrive, JointKind, Joints, Thrusters
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import NUM_WALLS, Level, Role
 from kinetix_dist.level.walls import empty_level
 
 
@@ -105,7 +104,7 @@ class DrivenThrusters:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Draft:
-    """What has been drawn so far."""
+    """Shapes, joints and thrusters drawn so far."""
 
     shapes: Shapes
     driven_joints: DrivenJoints
@@ -182,7 +181,7 @@ def beside(mask: Array, column: Array) -> Array:
 
 
 def first_free(active: Array) -> Array:
-    """Index of the first inactive slot (0 where there is none: ask `~active.all()` too)."""
+    """Index of the first inactive slot (0 where there is none: check `~active.all()` too)."""
     return jnp.argmin(active)
 
 
@@ -193,7 +192,8 @@ def draft_to_level(draft: Draft, capacity: Capacity) -> tuple[Level, Array]:
 
 
 def with_draft(level: Level, draft: Draft, capacity: Capacity) -> Level:
-    """The level with all that a draft has; what a draft does not have stays. Masses are still to be derived."""
+    """The level with the shapes, joints and thrusters of a draft, and its own gravity, speeds and surfaces. Masses are
+    still to be derived."""
     shapes, polygons = draft.shapes, capacity.polygons
     scene = level.scene.replace(
         shapes={
@@ -214,3 +214,38 @@ def with_draft(level: Level, draft: Draft, capacity: Capacity) -> Level:
         motor_colour=draft.driven_joints.colour,
         thruster_colour=draft.driven_thrusters.colour,
     )
+
+
+def permute_slots(draw: Array, draft: Draft, num_polygons: int) -> Draft:
+    """The same draft with polygons (walls excepted), circles, joints and thrusters in other slots each.
+
+    `draw` holds `num_permutation_draws(draft)` uniform numbers. `body` and `added_at` move along but keep their
+    values: they are notes of the generator, not slot numbers.
+    """
+    num_shapes = draft.shapes.active.shape[0]
+    num_joints, num_thrusters = draft.joints.active.shape[0], draft.thrusters.active.shape[0]
+    ends = np.cumsum([num_polygons - NUM_WALLS, num_shapes - num_polygons, num_joints, num_thrusters])
+    by_draw = [jnp.argsort(part) for part in jnp.split(draw, ends[:-1])]
+    walls = jnp.arange(NUM_WALLS)
+    polygons = NUM_WALLS + by_draw[0]
+    circles = num_polygons + by_draw[1]
+    source = jnp.concatenate([walls, polygons, circles])  # new slot -> old slot
+    slot_of = jnp.argsort(source).astype(jnp.int32)  # old slot -> new slot
+    joint_order = by_draw[2]
+    thruster_order = by_draw[3]
+    shapes = jax.tree.map(lambda x: row_at(x, source), draft.shapes)
+    joints = jax.tree.map(lambda x: row_at(x, joint_order), draft.driven_joints)
+    thrusters = jax.tree.map(lambda x: row_at(x, thruster_order), draft.driven_thrusters)
+    return Draft(
+        shapes=shapes,
+        driven_joints=replace(
+            joints, joints={"a": row_at(slot_of, joints.joints.a), "b": row_at(slot_of, joints.joints.b)}
+        ),
+        driven_thrusters=replace(thrusters, thrusters={"body": row_at(slot_of, thrusters.thrusters.body)}),
+    )
+
+
+def num_permutation_draws(draft: Draft) -> int:
+    """Number of uniform numbers that `permute_slots` uses."""
+    counts = (draft.shapes.active, draft.joints.active, draft.thrusters.active)
+    return sum(active.shape[0] for active in counts) - NUM_WALLS

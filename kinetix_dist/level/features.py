@@ -1,4 +1,4 @@
-"""Features of levels: how many things of each kind a level has."""
+"""Features of levels: counts of shapes, joints, motors, thrusters, fixed shapes and red shapes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array, JointKind
-from kinetix_dist.level.level import NUM_WALLS, Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import NUM_WALLS, Level, Role
 
 # Order of the columns of `level_features`. Shapes are those beside the walls.
 FEATURES = ("shapes", "joints", "motors", "thrusters", "fixed_shapes", "red_shapes")
@@ -30,9 +29,9 @@ def level_features(levels: Level) -> Array:
 
 
 def features_of_arrays(levels: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The same of the arrays of levels by path, as a checkpoint has them."""
+    """The same features, of the arrays of levels by path, as a checkpoint has them."""
     num_levels = len(levels["position"])
-    nothing = np.zeros((num_levels, 0), bool)  # arrays without elements are left out there
+    nothing = np.zeros((num_levels, 0), bool)  # checkpoints leave out arrays without elements
     return np.asarray(
         _counts(
             shape_active=levels["scene/shapes/active"],

@@ -1,6 +1,6 @@
-"""Fingerprints of drawn sets: a set of this name is the one that was published, or it is refused.
+"""Fingerprints of drawn sets: a set whose levels differ from the published ones is refused.
 
-    structure   what a draw chooses, exactly: who is there, roles, kinds, ends, colours               4 hex digits
+    structure   the discrete part of a draw: active slots, roles, kinds, ends, colours                 4 hex digits
     coarse      mean position, speed, density and friction, with gravity and powers, in steps of 0.01  whole number
 
 A level's code is both, "3fa2.412". Rounding in the last bits, which differs between processors and versions of XLA,
@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from kinetix_dist.level.level import NUM_WALLS, Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 
 FINGERPRINT_FILE = "fingerprints.json"
 NUM_CHECKED = 256  # levels at the start of a set
@@ -34,7 +34,7 @@ class OtherLevelsError(ValueError):
 
 
 def known_fingerprints() -> dict[str, str]:
-    """By name of a set; those that the level data has."""
+    """Fingerprints in the level data, by name of a set."""
     file = levels_root() / FINGERPRINT_FILE
     return json.loads(file.read_text()) if file.is_file() else {}
 
@@ -79,7 +79,7 @@ def _structures(levels: Level) -> list[int]:
 
 
 def _coarse(levels: Level) -> np.ndarray:
-    """[N] float64. All terms are sums over what is there, of order one."""
+    """[N] float64. All terms are sums over active slots, of order one."""
     scene, is_there = levels.scene, levels.scene.shapes.active.copy()
     is_there[:, :NUM_WALLS] = False
     of_shapes = levels.position.sum(-1) + levels.velocity.sum(-1) + scene.shapes.density + scene.shapes.friction

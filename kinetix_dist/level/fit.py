@@ -1,4 +1,4 @@
-"""Sizes: what a level uses, the smallest size it fits, and moving it into arrays of another capacity."""
+"""Sizes: the slots that a level uses, the smallest size it fits, and moving it into arrays of another capacity."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def capacity_of(level: Level) -> Capacity:
 
 
 def usage(level: Level) -> dict[str, int]:
-    """How many polygons (walls included), circles, joints and thrusters one level has."""
+    """Number of polygons (walls included), circles, joints and thrusters of one level."""
     shapes = level.scene.shapes
     num_polygons = shapes.num_vertices.shape[-1]
     active = np.asarray(shapes.active)
@@ -94,8 +94,8 @@ def pad_levels(levels: Level, capacity: Capacity) -> Level:
             raise LevelSizeError(
                 f"levels have room for {getattr(have, kind)} {kind}, the larger capacity for {getattr(capacity, kind)}"
             )
-    rooms = {"P": have.polygons, "C": have.circles, "J": have.joints, "T": have.thrusters}
-    return _in_slots(levels, have, capacity, {letter: np.arange(room) for letter, room in rooms.items()}, jnp)
+    counts = {"P": have.polygons, "C": have.circles, "J": have.joints, "T": have.thrusters}
+    return _in_slots(levels, have, capacity, {letter: np.arange(count) for letter, count in counts.items()}, jnp)
 
 
 def size_numbers(levels: Level) -> Array:
@@ -137,7 +137,7 @@ def _in_slots(level: Level, have: Capacity, capacity: Capacity, slots: Mapping[s
     blank = empty_level(capacity)
 
     def placed(field: Field) -> Any:
-        """The field with what the level has in its slots, and nothing in the others."""
+        """The field with the values of the level in its slots, and empty ones in the others."""
         values = field.get(level)
         letters = [(axis, letter) for axis, letter in enumerate(field.dims) if letter in taken_from]
         if not letters:
@@ -156,7 +156,7 @@ def _in_slots(level: Level, have: Capacity, capacity: Capacity, slots: Mapping[s
     return make(Level, placed)
 
 
-_NOTHING = -1  # in place of a slot's number: what is there in an empty level
+_NOTHING = -1  # in place of a slot's number: the value in an empty level
 
 
 def _padded(old_slots: np.ndarray, length: int) -> np.ndarray:
@@ -164,7 +164,7 @@ def _padded(old_slots: np.ndarray, length: int) -> np.ndarray:
 
 
 def _slots(active: np.ndarray, room: int, kind: str) -> np.ndarray:
-    """Which old slots to carry over: all of them where there is room, else the active ones."""
+    """Old slots to carry over: all of them if they fit, else the active ones."""
     if len(active) <= room:
         return np.arange(len(active))
     used = np.flatnonzero(active)

@@ -2,10 +2,9 @@
 
     levels, names = frontier_levels(frontier_sets()["frontier_s"])
 
-Of levels drawn from a stream of their own, those that random actions rarely solve and some stored policy sometimes
-does. A set without levels that nobody or everybody solves tells two policies apart with fewer attempts.
-levels/frontier_sets.json has the indices into the stream and what was seen when they were chosen; `bench.frontier_sets`
-writes it.
+The levels are drawn from a stream of their own: random actions rarely solve them, and some stored policy does. A set
+without levels that all or no policies solve separates two policies with fewer attempts. levels/frontier_sets.json has
+the indices into the stream and the counts by which they were chosen; `bench.frontier_sets` writes it.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from kinetix_dist.level.fit import capacity_of_size
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.generator_config import generator
 from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.text_files import read_json
 
 FRONTIER_STREAM = 0x46524F4E  # "FRON": a key of its own
@@ -43,7 +42,7 @@ class FrontierSet:
     random_solved: tuple[int, ...]  # attempts of random actions that solved each level
     attempts: int  # of random actions, and of each policy at most, on a level
     policies: tuple[str, ...]
-    num_drawn: int  # levels looked at
+    num_drawn: int  # candidates
     fingerprint: str = ""  # see fingerprints.py; "": not checked
 
     @property
@@ -52,13 +51,13 @@ class FrontierSet:
 
 
 def frontier_sets() -> dict[str, FrontierSet]:
-    """By name; those that the level data has."""
+    """The sets in the level data, by name."""
     file = levels_root() / FRONTIER_FILE
     return {made.name: made for made in read_frontier_sets(file).values()} if file.is_file() else {}
 
 
 def read_frontier_sets(file: Path) -> dict[str, FrontierSet]:
-    """By size. Raises OSError and ValueError."""
+    """The sets of a file, by size. Raises OSError and ValueError."""
     sets = {}
     for size, content in read_json(file).items():
         fields = {name: tuple(value) if isinstance(value, list) else value for name, value in content.items()}
@@ -67,7 +66,7 @@ def read_frontier_sets(file: Path) -> dict[str, FrontierSet]:
 
 
 def frontier_text(sets: Mapping[str, FrontierSet]) -> str:
-    """What `read_frontier_sets` reads."""
+    """Content of a file for `read_frontier_sets`."""
     content = {size: {k: v for k, v in dataclasses.asdict(made).items() if k != "size"} for size, made in sets.items()}
     return json.dumps(content) + "\n"
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -27,16 +28,17 @@ from kinetix_dist.level.draft import (
     draft_to_level,
     empty_draft,
     first_free,
+    num_permutation_draws,
+    permute_slots,
     read_slot,
     with_green_and_blue_exchanged,
     write_slot,
 )
+from kinetix_dist.level.fit import capacity_of_size
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level
+from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, Level, Role
 from kinetix_dist.level.mechanisms.mechanism_draft import mechanism_draft
-from kinetix_dist.level.permute import num_permutation_draws, permute_slots
 from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose, shape_mass
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.variety import vary
 
 __all__ = ["GeneratorConfig", "generate_level", "generate_levels"]
@@ -188,3 +190,30 @@ def _add_thrusters(draws: Array, draft: Draft, force_thruster: Array, config: Ge
 def _swap_green_and_blue(coin: Array, draft: Draft) -> Draft:
     """Removes the bias of green to the left and of green being added first, unless the floor plays a role."""
     return with_green_and_blue_exchanged(draft, (coin < 0.5) & (draft.shapes.role[0] == Role.NONE))
+
+
+OVERSAMPLING = 2  # levels drawn for each one returned; about one in ten solves itself
+
+
+def generate_filtered(
+    key: Array,
+    num_levels: int,
+    size: str,
+    config: GeneratorConfig,
+    noop_outcome_fn: Callable[[Level], Array],
+) -> Level:
+    """`num_levels` random levels of a size, without levels that solve themselves (paper, section 4).
+
+    Draws twice as many and returns the first ones that `noop_outcome_fn(levels) -> [W] bool` does not call solved, in
+    the order drawn. If more than half of the draw is solved, the last ones are among the solved. Pure; works
+    inside jit. Consumes `key`.
+    """
+    drawn = generate_levels(key, OVERSAMPLING * num_levels, capacity_of_size(size), config)
+    return keep_unsolved(drawn, noop_outcome_fn(drawn), num_levels)
+
+
+@functools.partial(jax.jit, static_argnames="num_levels")
+def keep_unsolved(levels: Level, is_solved: Array, num_levels: int) -> Level:
+    """The first `num_levels` of a batch that are not solved, then solved ones if there are not enough."""
+    order = jnp.argsort(is_solved, stable=True)[:num_levels]
+    return jax.tree.map(lambda x: x[order], levels)

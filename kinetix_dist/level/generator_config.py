@@ -8,7 +8,7 @@ import math
 from kinetix_dist.level.mechanisms import FAMILIES
 from kinetix_dist.near_names import did_you_mean
 
-# What the public package does that no number says. docs/level_format.md, "Random levels", says what each changes.
+# Details of the public package that no number expresses. docs/level_format.md, "Random levels", has their effects.
 PUBLISHED_DETAILS = (
     "contact_points",  # a proposal costs 1 or 2 for each polygon it overlaps, of its own body too
     "exchanged_anchors",  # whether a joined shape is hidden is judged with each other's anchors
@@ -53,7 +53,7 @@ _CHANCES = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GeneratorConfig:
-    """How random levels are drawn. Chances are 0..1, lengths m, angles rad, speeds and powers in engine units."""
+    """Parameters of random levels. Chances are 0..1, lengths m, angles rad, speeds and powers in engine units."""
 
     num_proposals: int = 8  # drawn for each addition; the one with the fewest overlaps is kept
     num_proposals_s: int = 8  # the same where there are at most 3 shapes besides the walls, as in size S

@@ -1,4 +1,4 @@
-"""The program that draws levels, exported: read from the compile cache instead of traced.
+"""The program that draws levels, exported: read from the program cache instead of traced.
 
     keys [n] -> levels [n, ...]
 
@@ -12,6 +12,7 @@ before it is compiled, or looked for in the cache.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import jax
 
@@ -20,32 +21,23 @@ from kinetix_dist import prng
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import Level
-from kinetix_dist.telemetry.exported_program import Program, Settings, current_settings, exported
+from kinetix_dist.program_cache import ProgramKey, exported
 
-KIND = "levels"  # folder in the compile cache
+CACHE = "levels"  # folder in the program cache
 
 
 def draw_levels(keys: Array, capacity: Capacity, config: GeneratorConfig) -> Level:
-    """[n, ...]: `generate_level` of each of the keys [n], which are consumed. Works inside jit, not inside vmap."""
-    data = prng.key_data(keys)
-    shape = jax.ShapeDtypeStruct(data.shape, data.dtype)
-    backend, key_impl = jax.default_backend(), str(prng.key_impl(keys))
-    return _program(capacity, config, backend, key_impl, shape, current_settings())(data)
+    """Levels [n, ...] of `generate_level` by keys [n], which are consumed. Works inside jit, not inside vmap."""
+    return _program(capacity, config, jax.default_backend(), str(prng.key_impl(keys)))(prng.key_data(keys))
 
 
 @functools.cache
-def _program(
-    capacity: Capacity,
-    config: GeneratorConfig,
-    backend: str,
-    key_impl: str,
-    keys: jax.ShapeDtypeStruct,
-    settings: Settings,
-) -> Program:
-    """`key_data` of `keys`, [n, ...] uint32, -> levels [n, ...]."""
+def _program(capacity: Capacity, config: GeneratorConfig, backend: str, key_impl: str) -> Callable[[Array], Level]:
+    """(`key_data` [n, ...] uint32 of keys) -> levels [n, ...]."""
 
-    def one(data: Array) -> Level:
-        return generate_level(prng.wrap_key_data(data, impl=key_impl), capacity, config)
+    def draw(data: Array) -> Level:
+        keys = prng.wrap_key_data(data, impl=key_impl)
+        return jax.vmap(lambda key: generate_level(key, capacity, config))(keys)
 
     del backend  # for which it is exported
-    return exported(KIND, (key_impl, capacity, config), jax.vmap(one), [keys], settings)
+    return exported(draw, ProgramKey(kind=CACHE, module=__name__, depends_on=(key_impl, capacity, config)))

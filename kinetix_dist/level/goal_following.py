@@ -1,7 +1,7 @@
-"""Levels to see what a policy makes of a body: it stands in the middle, a goal that it cannot touch is above it.
+"""Levels for the control of any body: it stands in the middle, and a goal that it cannot touch is above it.
 
-Paper, section "Zero-shot Locomotion of an Arbitrary Morphology": the best that can be done is to go below the goal, so
-that the x of goal and green, over many levels, says how well a policy goes where it wants. Morphologies are a `car`, a
+Paper, section "Zero-shot Locomotion of an Arbitrary Morphology": the best a policy can do is to go below the goal, so
+the correlation of the x of goal and green over many levels measures how well it steers. Morphologies are a `car`, a
 `snake` of five links, a box with two `thrusters`, and `random` ones of three shapes joined at random. Pure; works
 inside jit and vmap.
 """
@@ -20,7 +20,7 @@ from jax2d.scene import Capacity
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import draft_to_level, empty_draft
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level, Role
 from kinetix_dist.level.mechanisms import FAMILIES
 from kinetix_dist.level.mechanisms.registry import Family
 from kinetix_dist.level.mechanisms.table import choose, table_of, with_circle
@@ -39,7 +39,6 @@ from kinetix_dist.level.mechanisms.template import (
     moved,
 )
 from kinetix_dist.level.mechanisms.to_draft import with_table
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M, PASSES_THROUGH
 
 GOAL_HEIGHT_M = 4.5

@@ -25,8 +25,7 @@ import numpy as np
 from jax2d.scene import Capacity, JointKind
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.fit import capacity_of
-from kinetix_dist.level.kinetix_checks import check_kinetix
-from kinetix_dist.level.kinetix_params import param_notes, public_params, public_static_params
+from kinetix_dist.level.kinetix_checks import check_kinetix, param_notes, public_params, public_static_params
 from kinetix_dist.level.kinetix_walls import USUAL_WALLS, PublicWalls, mended_wall, wall_of_file
 from kinetix_dist.level.level import NUM_WALLS, Level
 from kinetix_dist.level.validate import LevelFormatError, check_polygon, read_document
@@ -46,7 +45,7 @@ _PARTS = ("polygon", "circle", "joint", "thruster")
 
 
 def is_kinetix_document(document: Any) -> bool:
-    """Whether a JSON document is a level file of the public package."""
+    """True of the JSON document of a level file of the public package."""
     return isinstance(document, dict) and "env_state" in document
 
 

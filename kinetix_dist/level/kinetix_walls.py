@@ -6,7 +6,7 @@ Two kinds of files have other walls, and levels in them mean the usual box:
 - the web editor writes walls of `collision_mode` 1. Walls of mode 2 differ from them for shapes of mode 0 alone, which
   would fall out of the box: a file with such a shape is refused.
 
-What a file said is kept with the level (`PublicWalls`), so that exporting it writes the walls of the file again.
+The walls of the file are stored with the level (`PublicWalls`), so that exporting writes them again.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ _FACES = ((1, max, FLOOR_TOP_M), (0, max, 0.0), (0, min, WORLD_SIZE_M), (1, min,
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PublicWalls:
-    """How the walls of a public file are; the defaults are the usual box."""
+    """Walls of a public file; the defaults are the usual box."""
 
     left_wall_x: float = 0.0  # m, of the side that faces the box
     collision_modes: tuple[int, ...] = (COLLIDES_WITH_ALL,) * NUM_WALLS  # in the order of WALL_NAMES
 
     @classmethod
     def from_json(cls, fields: Mapping[str, Any]) -> PublicWalls:
-        """Of the field `public_walls` of a valid level document."""
+        """Walls of the field `public_walls` of a valid level document."""
         return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
 
     def to_json(self) -> dict[str, Any]:
-        """What is not as usual; empty for the usual box."""
+        """Fields that differ from the usual box; empty for that box."""
         usual, found = dataclasses.asdict(USUAL_WALLS), dataclasses.asdict(self)
         return {name: list(v) if isinstance(v, tuple) else v for name, v in found.items() if v != usual[name]}
 
     @property
     def notes(self) -> list[str]:
-        """What is mended, a phrase each."""
+        """Mended walls, a phrase each."""
         mended = []
         if self.left_wall_x != 0.0:
             off = f"{abs(self.left_wall_x) * 100:.3g} cm"
@@ -69,7 +69,7 @@ USUAL_WALLS = PublicWalls()
 
 
 def read_walls(polygons: Rows) -> PublicWalls:
-    """How the first four polygons of a file are. Raises `LevelFormatError` where they are not the usual box and cannot
+    """Walls of a file, its first four polygons. Raises `LevelFormatError` where they are not the usual box and cannot
     be mended without changing the level."""
     left_wall_x, modes = 0.0, []
     for slot in range(NUM_WALLS):

@@ -1,4 +1,4 @@
-"""A level: a scene, how it starts, who plays which role and which action colour drives what.
+"""A level: a scene, its state at the start, the roles of shapes, and the colours of motors and thrusters.
 
 Levels are data. One level has the shapes below; a batch has a leading axis on every field.
 """
@@ -6,8 +6,12 @@ Levels are data. One level has the shapes below; a batch has a leading axis on e
 from __future__ import annotations
 
 import dataclasses
+import enum
+from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 from jax2d.fields import Array, array, part
 from jax2d.scene import Capacity, JointKind, Scene
@@ -42,9 +46,55 @@ class Level:
 
 
 def obeying_motors(level: Level) -> Array:
-    """[J] bool, of a batch [W, J]: motors that do what the action of their colour says.
+    """[J] bool, of a batch [W, J]: motors that follow the action of their colour.
 
     The joint is there, is not fixed, has its motor on, and the motor does not run by itself.
     """
     joints = level.scene.joints
     return joints.active & joints.motor_on & ~joints.is_kind(JointKind.FIXED) & ~level.motor_auto
+
+
+class Role(enum.IntEnum):
+    """Role of a shape; the numbers are those of the public Kinetix level files."""
+
+    NONE = 0
+    GREEN = 1
+    BLUE = 2  # the goal
+    RED = 3  # touching it with green ends the episode with -1
+
+
+ROLE_NAMES = tuple(role.name.lower() for role in Role)  # as level files spell them
+
+
+def motors_with_effect(level: Level) -> np.ndarray:
+    """[J] bool: motors with an effect: they obey an action (`obeying_motors`), have power and hold a shape that can
+    move. One of speed 0 can only brake."""
+    joints, moves = level.scene.joints, _moves(level)
+    obeys = np.asarray(joints.active) & np.asarray(joints.motor_on) & ~np.asarray(level.motor_auto)
+    obeys &= ~np.asarray(joints.is_kind(JointKind.FIXED)) & (np.asarray(joints.motor_power) > 0)
+    return obeys & (moves[np.asarray(joints.a)] | moves[np.asarray(joints.b)])
+
+
+def driving_motors(level: Level) -> np.ndarray:
+    """[J] bool: motors with an effect and a speed."""
+    return motors_with_effect(level) & (np.asarray(level.scene.joints.motor_speed) != 0)
+
+
+def pushing_thrusters(level: Level) -> np.ndarray:
+    """[T] bool: thrusters with power on a shape that can move."""
+    thrusters = level.scene.thrusters
+    pushes = np.asarray(thrusters.active) & (np.asarray(thrusters.power) != 0)
+    return pushes & _moves(level)[np.asarray(thrusters.body)]
+
+
+def _moves(level: Level) -> np.ndarray:
+    return np.asarray(level.scene.shapes.inverse_mass) > 0
+
+
+def select_first(mask: Array, new: Any, old: Any) -> Any:
+    """`new` where mask [N], else `old`, of two trees of arrays [N, ...], row by row."""
+
+    def select(a: Array, b: Array) -> Array:
+        return jnp.where(jnp.reshape(mask, (-1, *[1] * (jnp.ndim(b) - 1))), a, b)
+
+    return jax.tree.map(select, new, old)

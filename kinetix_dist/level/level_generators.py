@@ -1,4 +1,4 @@
-"""Where fresh levels come from: anything that draws levels of one capacity from a key."""
+"""Sources of fresh levels: objects that draw levels of one capacity from a key."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class LevelGenerator(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class RandomLevels:
-    """Those of `generator.py`."""
+    """The random levels of `generator.py`."""
 
     capacity: Capacity
     config: GeneratorConfig
@@ -35,7 +35,7 @@ class RandomLevels:
 
 @dataclasses.dataclass(frozen=True)
 class GoalFollowingLevels:
-    """Those of `goal_following.py`, with one kind of body."""
+    """The levels of `goal_following.py`, with one kind of body."""
 
     capacity: Capacity
     morphology: str  # of MORPHOLOGIES

@@ -2,7 +2,7 @@
 
     level, changed = mutate(key, level, capacity, config, num_changes=3)
 
-A mutator changes one thing and keeps the level valid: one green and one blue shape, walls as they are, ends of joints
+A mutator makes one change and the level stays valid: one green and one blue shape, walls as they are, ends of joints
 together. Where it has nothing to change (no room, nothing to remove) the level stays as it is and `changed` says so.
 `derive` then brings masses and contact permissions up to date. Everything is for one level; `jax.vmap` gives a batch.
 """
@@ -20,8 +20,7 @@ import jax.numpy as jnp
 from jax2d.fields import Array
 from jax2d.scene import Capacity, Thrusters
 from kinetix_dist import prng
-from kinetix_dist.level.connections import connections
-from kinetix_dist.level.derive import derive
+from kinetix_dist.level.derive import connections, derive
 from kinetix_dist.level.draft import (
     Draft,
     DrivenJoints,
@@ -33,9 +32,8 @@ from kinetix_dist.level.draft import (
     write_slot,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, WORLD_SIZE_M, Level
+from kinetix_dist.level.level import NUM_THRUSTER_COLOURS, NUM_WALLS, WORLD_SIZE_M, Level, Role
 from kinetix_dist.level.proposals import NUM_DRAWS, Request, add_best, pick, point_inside, propose
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M, GRAVITY_M_S2
 
 MAX_MOVE_M = 1.0  # of a body in one change, along each axis
@@ -92,13 +90,13 @@ def begin(level: Level) -> Edited:
 
 
 def _run(mutator: Mutator, capacity: Capacity, config: GeneratorConfig, key: Array, edited: Edited) -> Edited:
-    """What the mutator makes of it, or the level as it is, to the bit."""
+    """The level after a mutator, or the same level, bit for bit, where it changes nothing."""
     after = mutator(key, edited, capacity, config)
     kept = jax.tree.map(lambda new, old: jnp.where(after.changed, new, old), after, edited)
     return dataclasses.replace(kept, changed=after.changed)
 
 
-# Which shapes
+# Choices of shapes
 
 
 def _owned(edited: Edited) -> Array:
@@ -150,7 +148,7 @@ def _add(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig
 
 
 def draft_of(edited: Edited, capacity: Capacity) -> Draft:
-    """A level as a draft: what `with_draft` takes."""
+    """A level as a draft, for `with_draft`."""
     level, shapes, joints = edited.level, edited.level.scene.shapes, edited.level.scene.joints
     circles, polygons = capacity.circles, capacity.polygons
     ends = (jnp.stack([joints.a, joints.b])[..., None] == jnp.arange(capacity.shapes)) & joints.active[..., None]
@@ -233,11 +231,11 @@ def remove_thruster(key: Array, edited: Edited, capacity: Capacity, config: Gene
     )
 
 
-# What shapes are
+# Properties of shapes
 
 
 def swap_roles(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig) -> Edited:
-    """Of two shapes of different roles."""
+    """Exchanges the roles of two shapes."""
     level, draw = edited.level, _draws(key)
     owned = _owned(edited)
     one = _choose(owned & (level.shape_role != Role.NONE), draw[0])
@@ -249,7 +247,7 @@ def swap_roles(key: Array, edited: Edited, capacity: Capacity, config: Generator
 
 
 def toggle_fixed(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig) -> Edited:
-    """A shape that moves stands fixed, or the other way round. What is fixed has no thrusters and no speed."""
+    """Fixes a moving shape or frees a fixed one. Fixed shapes have no thrusters and no speed."""
     level, owned = edited.level, _owned(edited)
     here = jnp.arange(capacity.shapes) == _choose(owned, _draws(key)[0])
     is_fixed, thrusters = edited.is_fixed ^ here, level.scene.thrusters
@@ -264,7 +262,8 @@ def toggle_fixed(key: Array, edited: Edited, capacity: Capacity, config: Generat
 
 
 def change_size(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig) -> Edited:
-    """By a factor up to MAX_SCALING or its inverse, within the sizes that the generator draws. Joints stay in place."""
+    """Scales a shape by a factor up to MAX_SCALING or its inverse, within the generator's sizes. Joints stay in
+    place."""
     level, draw, polygons = edited.level, _draws(key), capacity.polygons
     owned = _owned(edited)
     here = jnp.arange(capacity.shapes) == _choose(owned, draw[0])
@@ -281,7 +280,7 @@ def change_size(key: Array, edited: Edited, capacity: Capacity, config: Generato
     )
 
 
-# Where shapes are
+# Positions of shapes
 
 
 def move_body(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig) -> Edited:

@@ -1,4 +1,4 @@
-"""Do two shapes overlap? Separating axes for circles and convex polygons alike, for generators and checks.
+"""Overlaps of shapes, by separating axes for circles and convex polygons alike, for generators and checks.
 
 A shape is `V` world corners and a radius: a polygon has radius 0, a circle has its centre `V` times. Not the engine's
 contact code: this only says yes or no, costs a few dot products and vectorises over anything.
@@ -48,7 +48,7 @@ def _edge_normals(corners: Array) -> Array:
 
 
 def _largest_gap(axes: Array, corners_a: Array, corners_b: Array) -> Array:
-    """Of the corners of two shapes along any of the axes `[k, 2]`; those of length 0 do not count."""
+    """Largest gap (m) of the corners of two shapes along any of the axes `[k, 2]`; axes of length 0 do not count."""
     length = jnp.sqrt(jnp.sum(axes * axes, axis=-1))
     usable = length > 1e-6  # zero-length edges of padding and of circles
     axes = axes / jnp.where(usable, length, 1.0)[:, None]

@@ -3,8 +3,8 @@
     proof = read_proof(proof_path(level_file))
     check_proof_is_of(proof, level_file, preset="standard")
 
-levels/proofs/schema.json is the structure of a file. What a proof claims is checked by replaying it
-(`evaluation/proofs.py`); this file only knows what is written.
+levels/proofs/schema.json is the structure of a file. The claim of a proof is checked by replaying it
+(`evaluation/proofs.py`); this file only reads and writes.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.structure import LevelFormatError, check_structure, read_document
 
 FORMAT_NAME = "kinetix-dist-proof"
 FORMAT_VERSION = 1
-PROOF_SUFFIX = ".proof.json"  # of proofs that lie beside a level file of a user
-ABOUT = ("name", "title", "description", "source", "tags", "difficulty")  # what a level says of itself moves nothing
+PROOF_SUFFIX = ".proof.json"  # of proofs beside a level file of a user
+ABOUT = ("name", "title", "description", "source", "tags", "difficulty")  # of a level, without effect on its motion
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,13 +47,13 @@ class Proof:
 
 
 def level_hash(document: dict[str, Any]) -> str:
-    """SHA-256 of what is in a level document of either format; names and descriptions do not count."""
+    """SHA-256 of the content of a level document of either format; names and descriptions do not count."""
     content = {key: value for key, value in document.items() if key not in ABOUT}
     return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def proof_path(level_file: Path, directory: Path | None = None) -> Path:
-    """Where the proof of a level is: in `directory` if given; of a designed level levels/proofs/SIZE/NAME.json; else
+    """File of the proof of a level: in `directory` if given; levels/proofs/SIZE/NAME.json of a designed level; else
     beside the level file."""
     if directory is not None:
         return directory / level_file.name
@@ -105,7 +105,7 @@ def write_proof(path: Path, proof: Proof) -> None:
 def check_proof_is_of(
     proof: Proof, path: Path, level_document: dict[str, Any], *, preset: str, frame_skip: int, max_steps: int
 ) -> None:
-    """Raises `LevelFormatError`, one line, where a proof was found for something else than what it is to prove."""
+    """Raises `LevelFormatError`, one line, where a proof is of another level or of other settings."""
     found = level_hash(level_document)
     if proof.level_sha256 != found:
         raise LevelFormatError(
@@ -114,12 +114,12 @@ def check_proof_is_of(
             "one before a change",
             "find it again with `kinetix-dist levels solve`",
         )
-    for name, asked in (("preset", preset), ("frame_skip", frame_skip), ("max_steps", max_steps)):
-        if getattr(proof, name) != asked:
+    for name, requested in (("preset", preset), ("frame_skip", frame_skip), ("max_steps", max_steps)):
+        if getattr(proof, name) != requested:
             raise LevelFormatError(
                 f"{path}: {name}",
-                f"is {getattr(proof, name)!r}, asked for is {asked!r}",
-                f"ask for {getattr(proof, name)!r}, or find a proof of {asked!r} with `kinetix-dist levels solve`",
+                f"is {getattr(proof, name)!r}, requested is {requested!r}",
+                f"use {getattr(proof, name)!r}, or find a proof of {requested!r} with `kinetix-dist levels solve`",
             )
 
 

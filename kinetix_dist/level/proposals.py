@@ -27,9 +27,8 @@ from kinetix_dist.level.draft import (
     write_slot,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M, Role
 from kinetix_dist.level.overlap import contact_points, inset, reach, separation, world_corners
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M, WALL_CENTRES_M
 
 NUM_DRAWS = 28  # uniform numbers that one proposal uses
@@ -38,7 +37,7 @@ NUM_DRAWS = 28  # uniform numbers that one proposal uses
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Request:
-    """What is to be added in one step of the generator (scalars)."""
+    """Addition requested of one step of the generator (scalars)."""
 
     is_joined: Array  # bool: joined to an existing shape, else free
     force_motor: Array  # bool: the joint turns and has a motor that is on
@@ -167,7 +166,7 @@ def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, conf
 def _choose_partner(
     shapes: Shapes, kind_draw: Array, slot_draw: Array, num_polygons: int, config: GeneratorConfig
 ) -> Partner:
-    """Whom to join: walls never, fixed shapes rarely, polygons twice at most, circles once and only to a polygon."""
+    """Shape to join: walls never, fixed shapes rarely, polygons twice at most, circles once and only to a polygon."""
     slots = jnp.arange(shapes.active.shape[0])
     is_polygon_slot = slots < num_polygons
     room_polygon = ~shapes.active[:num_polygons].all()
@@ -190,7 +189,7 @@ def _draw_free(
     shapes: Shapes, request: Request, partner: Partner, is_polygon: Array, draw: Array, config: GeneratorConfig
 ) -> Shapes:
     """A shape anywhere in the box, its body left open; a joined one is moved afterwards."""
-    # Which kind, how large, which role.
+    # Kind, size and role.
     half, is_long, radius = sample_size(draw[3:8], config)
     is_triangle = (draw[8] < config.triangle_chance) & is_polygon
     corners, num_vertices = box_or_triangle(half, is_triangle, shapes.vertices.shape[1])
@@ -200,7 +199,7 @@ def _draw_free(
         half_width = jnp.maximum(half_width, jnp.where(is_polygon, config.min_radius, unused))
     area = jnp.where(is_polygon, 4.0 * half[0] * half[1] * jnp.where(is_triangle, 0.5, 1.0), math.pi * radius**2)
     role = _sample_role(shapes, partner.shape.role, request.is_joined, draw[9])
-    # Where: green often on the left and blue on the right (swapped at the end or not).
+    # Position: green often on the left and blue on the right (swapped at the end or not).
     low, high = half_width, WORLD_SIZE_M - half_width
     is_apart = draw[10] < config.opposite_side_chance
     left = jnp.where(is_apart & (role == Role.BLUE), low + WORLD_SIZE_M / 2, low)
@@ -259,7 +258,7 @@ def add_best(draft: Draft, proposals: Proposal, is_joined: Array, do: Array) -> 
 
 
 def _count_overlaps(shapes: Shapes, new: Shapes) -> Array:
-    """How many active shapes of other bodies the new one overlaps."""
+    """Number of active shapes of other bodies that the new one overlaps."""
     corners = world_corners(shapes.position, shapes.angle, shapes.vertices)
     new_corners = world_corners(new.position, new.angle, new.vertices)
     gap = jax.vmap(separation, in_axes=(None, None, 0, 0))(new_corners, new.radius, corners, shapes.radius)
@@ -306,7 +305,7 @@ def _sample_joint(
     num_hinges: Array,
     config: GeneratorConfig,
 ) -> DrivenJoints:
-    """How a joint holds and drives; ends and anchors are filled in by the caller.
+    """Kind, motor and limits of a joint; ends and anchors are filled in by the caller.
 
     angle_between: of b minus that of a at the start, rad. num_hinges: that the level has so far.
     """

@@ -3,7 +3,7 @@
     level, info = load_level("levels/s/hop_over.json")
     save_level(level, "mine.json", info)
 
-A document says what shapes are and where; centres of mass, masses, inertias and contact permissions are computed
+A document gives shapes and positions; centres of mass, masses, inertias and contact permissions are computed
 (`derive.py`). Positions in a document are the origin of a shape's own frame, which need not be its centroid: in the
 `Level` it is.
 """
@@ -24,8 +24,7 @@ from kinetix_dist.level.derive import complete
 from kinetix_dist.level.document import COLLISION_NAMES, JOINT_KINDS, LevelInfo, dump_document, level_to_json
 from kinetix_dist.level.fit import capacity_of_size
 from kinetix_dist.level.kinetix_walls import PublicWalls
-from kinetix_dist.level.level import NUM_WALLS, Level
-from kinetix_dist.level.roles import ROLE_NAMES
+from kinetix_dist.level.level import NUM_WALLS, ROLE_NAMES, Level
 from kinetix_dist.level.validate import LevelFormatError, read_document, validate_document
 from kinetix_dist.level.walls import WALL_NAMES, empty_level, pad_vertices
 
@@ -53,7 +52,7 @@ def load_level(path: str | Path, size: str | None = None) -> tuple[Level, LevelI
 
 
 def save_level(level: Level, path: str | Path, info: LevelInfo) -> None:
-    """Writes one level; what is written is validated first, so a file that exists can be loaded."""
+    """Writes one level; its document is validated first, so a file that exists can be loaded."""
     document = level_to_json(level, info)
     level_from_json(document)
     Path(path).write_text(dump_document(document), encoding="utf-8")
@@ -95,7 +94,7 @@ def level_as_written(document: Any) -> Level:
 
 
 def document_info(document: dict[str, Any]) -> LevelInfo:
-    """What a valid document says of a level besides the level."""
+    """Name, size and description of a level, of its valid document."""
     names = [field.name for field in dataclasses.fields(LevelInfo)]
     given = {name: document[name] for name in names if name in document}
     made = {"tags": tuple(given.get("tags", ())), "public_walls": PublicWalls.from_json(given.get("public_walls", {}))}
@@ -103,7 +102,7 @@ def document_info(document: dict[str, Any]) -> LevelInfo:
 
 
 def _assemble(document: dict[str, Any], capacity: Capacity) -> tuple[Level, np.ndarray]:
-    """What the document says, before anything is derived from it, and which shapes are fixed."""
+    """The level of a document before masses are derived, and `is_fixed` [n]."""
     level = empty_level(capacity)
     scene = level.scene
     is_fixed = np.asarray(scene.shapes.active).copy()  # the walls

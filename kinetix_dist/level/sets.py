@@ -4,12 +4,12 @@
 
 A name is a designed set of levels/sets.toml, one designed level ("hop_home" or "s/hop_home"), a held-out random set
 ("random_s" to "random_l", with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l", and cars,
-walkers, unicycles and arms "locomotion_s" to "locomotion_l", all kinds of things "tasks_s" to "tasks_l"), a set to
+walkers, unicycles and arms "locomotion_s" to "locomotion_l", families of mechanisms "tasks_s" to "tasks_l"), a set to
 develop with ("dev_random_s", "dev_designed_s", "frontier_s" and so on), or a file or directory of level files, ours or
 of the public package.
 
-What is published is measured on held-out and designed sets; what is chosen (settings, recipes, networks) is chosen on
-sets to develop with, which share no random level with them: else what is published would be too good.
+Published results are measured on held-out and designed sets. Settings, recipes and networks are chosen on sets to
+develop with, which share no random level with them, so that published results have no selection bias.
 """
 
 from __future__ import annotations
@@ -25,23 +25,20 @@ import numpy as np
 
 from jax2d.scene import Array, stack_worlds
 from kinetix_dist import prng
-from kinetix_dist.level.filters import generate_filtered
 from kinetix_dist.level.fingerprints import FINGERPRINT_FILE, check_fingerprint, known_fingerprints
 from kinetix_dist.level.fit import LevelSizeError, capacity_of_size, fit_level, smallest_size
-from kinetix_dist.level.foreign_files import REMEDY, foreign_files, is_zarr_store
 from kinetix_dist.level.frontier import FRONTIER_FILE, frontier_levels, frontier_sets
+from kinetix_dist.level.generator import generate_filtered
 from kinetix_dist.level.generator_config import generator
 from kinetix_dist.level.kinetix_format import is_kinetix_document, read_kinetix
 from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.noop import noop_solved
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import VARIED_SETS, designed_files, designed_names, designed_sets, levels_root
 from kinetix_dist.level.proof import PROOF_SUFFIX
 from kinetix_dist.level.schema import LevelInfo, load_level
-from kinetix_dist.level.set_files import designed_files, designed_names, designed_sets
-from kinetix_dist.level.structure import LevelNote
+from kinetix_dist.level.simulation import noop_solved
+from kinetix_dist.level.structure import REMEDY, LevelNote, foreign_files, is_zarr_store
 from kinetix_dist.level.validate import LevelFormatError, read_document
 from kinetix_dist.level.variants import variants
-from kinetix_dist.level.varied_sets import VARIED_SETS
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.text_files import is_hidden
 
@@ -49,12 +46,12 @@ HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its o
 HELD_OUT_LEVELS = 256
 DEVELOPMENT_STREAM = 0x444556  # "DEV"
 DEVELOPMENT_LEVELS = 2048
-PUBLIC_SOURCE = "public Kinetix level file"  # what is known of such a level, also after `levels import`
+PUBLIC_SOURCE = "public Kinetix level file"  # `source` of such a level, also after `levels import`
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RandomSet:
-    """Random levels of a size that nobody trains on."""
+    """Random levels of a size that are not trained on."""
 
     name: str
     size: str
@@ -133,12 +130,12 @@ def size_of_drawn_set(name: str) -> str | None:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LevelFile:
-    """What a file of either format holds."""
+    """Content of a level file of either format."""
 
     level: Level  # numpy, in arrays of the size the file says
     info: LevelInfo
     document: Any  # of the file's own format
-    notes: tuple[str, ...] = ()  # what was mended or is not read, a phrase each
+    notes: tuple[str, ...] = ()  # mended walls and ignored settings, a phrase each
 
 
 def read_level_file(path: Path) -> LevelFile:
@@ -163,8 +160,8 @@ def _public_file(path: Path, document: Any) -> LevelFile:
 
 
 def read_level(path: Path) -> tuple[Level, LevelInfo]:
-    """One level of a file in either format, in arrays of the size the file says, and what is known about it. Warns with
-    a `LevelNote` of what was mended. Raises as `read_level_file`."""
+    """One level of a file in either format, in arrays of the size in the file, and its description. Warns with a
+    `LevelNote` of mended walls. Raises as `read_level_file`."""
     return _with_note(path, read_level_file(path))
 
 
@@ -180,7 +177,7 @@ def _with_note(path: Path, file: LevelFile) -> tuple[Level, LevelInfo]:
 
 
 def is_public_level(path: Path) -> bool:
-    """Whether a level file is one of the public package, or was imported from one. Raises as `read_level`."""
+    """True of a level file of the public package, or imported from one. Raises as `read_level`."""
     document = read_document(path)
     return is_kinetix_document(document) or document.get("source") == PUBLIC_SOURCE
 
@@ -208,8 +205,8 @@ def files_of_set(name: str) -> list[Path]:
             raise FileNotFoundError(f"no .json level files in {path}; give a directory of them{foreign_files(path)}")
         return files
     known = [*sets, *VARIED_SETS, *RANDOM_SETS, *frontier_sets()]
-    otherwise = f"sets are {', '.join(known)}, or give a level file or a directory of them"
-    hint = did_you_mean(name, [*known, *designed_names()], otherwise)
+    known_sets = f"sets are {', '.join(known)}, or give a level file or a directory of them"
+    hint = did_you_mean(name, [*known, *designed_names()], known_sets)
     raise ValueError(f"unknown level set {name!r}; {hint}")
 
 
@@ -236,7 +233,7 @@ def file_of_level(name: str) -> Path:
 
 
 def held_out_key(size: str, stream: int = HELD_OUT_STREAM) -> Array:
-    """Key of the random levels of one size that nobody trains on."""
+    """Key of the random levels of one size that are not trained on."""
     return prng.fold_in(prng.key(stream), list(SIZES).index(size))
 
 

@@ -1,6 +1,6 @@
 """Random levels of several sizes in arrays of one capacity: which share is of which size (`curriculum.sizes`).
 
-Shares are kept exactly, as whole levels of whatever is drawn together (a group of worlds, a batch of candidates): of n
+Shares are exact, in whole levels of a group of worlds or of a batch of candidates: of n
 levels each size has n * weight / sum of weights, rounded down, and the sizes with the largest remainders one more.
 """
 
@@ -24,7 +24,7 @@ Counts = tuple[tuple[str, int], ...]  # levels of each size
 
 
 def check_weights(name: str, weights: Weights) -> None:
-    """Raises ValueError, one line, for weights of a mixture that mean nothing. name: what they are called."""
+    """Raises ValueError, one line, for invalid weights of a mixture. name: that of the setting."""
     for size, weight in weights:
         if size not in SIZES:
             raise ValueError(f"{name} has {size!r}; sizes are {', '.join(SIZES)}")
@@ -38,13 +38,13 @@ def check_weights(name: str, weights: Weights) -> None:
 
 
 def sizes_drawn(weights: Weights) -> list[str]:
-    """Those of positive weight, the smallest first."""
+    """Sizes of positive weight, the smallest first."""
     drawn = {size for size, weight in weights if weight}
     return [size for size in SIZES if size in drawn]
 
 
 def counts_of(weights: Weights, num_levels: int) -> Counts:
-    """How many of `num_levels` are of each size of positive weight, the smallest first.
+    """Number of levels of each size of positive weight, of `num_levels`, the smallest size first.
 
     Raises ValueError where a size would have none.
     """
@@ -75,5 +75,5 @@ def generate_mixture(key: Array, counts: Counts, capacity: Capacity, config: Gen
 
 
 def key_of_size(size: str, key: Array) -> Array:
-    """For the levels of that size of a mixture."""
+    """Key of the levels of that size of a mixture."""
     return prng.fold_in(key, list(SIZES).index(size))

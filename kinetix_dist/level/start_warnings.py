@@ -23,10 +23,8 @@ import numpy as np
 
 from jax2d.display_list import rotate
 from jax2d.scene import JointKind
-from kinetix_dist.level.control import driving_motors, pushing_thrusters
 from kinetix_dist.level.kinetix_format import is_kinetix_document
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level, Role, driving_motors, pushing_thrusters
 from kinetix_dist.level.statistics import point_distances, separations
 from kinetix_dist.level.walls import FLOOR_TOP_M, WALL_NAMES
 
@@ -42,7 +40,7 @@ _point_distances = jax.jit(point_distances)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StartWarning:
-    """One thing that is odd, and the parts of the document that it is about."""
+    """An oddity, and the parts of the document that it is about."""
 
     kind: str
     paths: tuple[str, ...]  # "shapes[2]", "joints[0]", "walls.floor"; none: the level as a whole
@@ -51,7 +49,7 @@ class StartWarning:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Paths:
-    """Where a document speaks of what is in a level."""
+    """Paths in a document of the shapes, joints and thrusters of a level."""
 
     shapes: dict[int, str]  # by slot
     joint: str  # "joints", or "env_state.joint" of a public file
@@ -59,7 +57,7 @@ class Paths:
 
 
 def start_warnings(level: Level, document: dict[str, Any]) -> list[StartWarning]:
-    """Of one level (numpy) that was read from this document, of either format. Nothing is simulated."""
+    """Warnings about one level (numpy) that was read from this document, of either format. Nothing is simulated."""
     paths = paths_in(level, document)
     found = itertools.chain(
         _overlaps(level, paths),
@@ -98,7 +96,7 @@ def paths_in(level: Level, document: dict[str, Any]) -> Paths:
 
 
 def _overlaps(level: Level, paths: Paths) -> Iterator[StartWarning]:
-    """Pairs that may touch and do, and what that means for the roles."""
+    """Overlaps of shapes that may touch, and the outcome that they decide."""
     shapes, roles = level.scene.shapes, np.asarray(level.shape_role)
     gaps = np.asarray(_separations(level))
     may_touch = np.triu(np.asarray(shapes.can_touch), 1)
@@ -132,7 +130,7 @@ def _limits(level: Level, paths: Paths) -> Iterator[StartWarning]:
 
 
 def _joint_coordinate(level: Level, k: int) -> tuple[float, str]:
-    """What the limits of joint k bound, at the start, and its unit."""
+    """Angle or offset that the limits of joint k bound, at the start, and its unit."""
     joints = level.scene.joints
     angle_a, angle_b = (float(level.angle[int(end[k])]) for end in (joints.a, joints.b))
     if int(joints.kind[k]) != JointKind.PRISMATIC:

@@ -1,4 +1,4 @@
-"""What a batch of levels is like: shares of things that are or are not, and distributions of numbers.
+"""Statistics of a batch of levels: shares of yes-or-no properties, and distributions of numbers.
 
     found = statistics(levels)
     compare(found, reference)      # where two batches differ by more than chance
@@ -19,9 +19,8 @@ import numpy as np
 
 from jax2d.scene import Array, JointKind
 from kinetix_dist.level.fit import capacity_of
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, Level
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, ROLE_NAMES, Level, Role
 from kinetix_dist.level.overlap import separation, surface_distance, world_corners
-from kinetix_dist.level.roles import ROLE_NAMES, Role
 
 NUM_POINTS = 19  # at which a distribution is described
 _EPSILON = 1e-4  # numbers so close are one: float32 rounds the same value differently on two ways
@@ -42,7 +41,7 @@ class Share:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Distribution:
-    """Of `total` numbers: at each of `points`, the share of numbers that are not larger."""
+    """Shares of `total` numbers that are not larger than each of `points`."""
 
     points: tuple[float, ...]
     shares: tuple[float, ...]
@@ -59,7 +58,7 @@ def statistics(levels: Level) -> Statistics:
 
 
 def describe(found: Statistics) -> dict[str, Any]:
-    """As JSON types, numbers as distributions."""
+    """Statistics as JSON types, numbers as distributions."""
     texts: dict[str, Any] = {}
     for name, value in found.items():
         if isinstance(value, Share):

@@ -1,6 +1,8 @@
-"""Is a JSON document made of the right fields? Complaints about numbers, types and ranges, by a JSON schema.
+"""Reading of JSON documents, and complaints about their numbers, types and ranges by a JSON schema.
 
-Every complaint is one line: which field, what is wrong, what to do. `validate.py` asks what the fields mean.
+Every complaint is one line: field, problem, remedy. `validate.py` checks the meaning of the fields. Level files of the
+public package's ecosystem that are no JSON (pickles of its editor and training, arrays) are recognised, named, and
+never loaded: loading a pickle runs the code in it.
 """
 
 from __future__ import annotations
@@ -8,11 +10,11 @@ from __future__ import annotations
 import functools
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from kinetix_dist.level.foreign_files import REMEDY, kind_of_bytes
 from kinetix_dist.text_files import decode_text, read_json
 
 MAX_NUMBER = 1e6  # of any field, in its unit; float32 positions beyond it are 6 cm apart and coarser
@@ -37,7 +39,7 @@ class LevelFormatError(ValueError):
 
 
 class LevelNote(UserWarning):
-    """A level file was read otherwise than it is written; one line says how."""
+    """A level differs from its file in one respect; one line says in which."""
 
 
 def raise_first(problems: Iterator[LevelFormatError]) -> None:
@@ -58,7 +60,7 @@ def read_document(path: Path) -> Any:
 
 
 def number_problems(value: Any, path: str = "") -> Iterator[LevelFormatError]:
-    """Of every number in a JSON value that is not finite or beyond MAX_NUMBER."""
+    """Complaints about numbers in a JSON value that are not finite or beyond MAX_NUMBER."""
     if isinstance(value, float) and not math.isfinite(value):
         yield LevelFormatError(path, f"is {value}", "give a finite number")
     elif isinstance(value, int | float) and abs(value) > MAX_NUMBER:
@@ -72,7 +74,7 @@ def number_problems(value: Any, path: str = "") -> Iterator[LevelFormatError]:
 
 
 def structure_problems(document: Any, schema_file: Path, *, see: str) -> Iterator[LevelFormatError]:
-    """Of everything that a JSON schema does not allow, by path; `see` describes the fields."""
+    """Complaints about violations of a JSON schema, by path; `see` describes the fields."""
     errors = _structure_validator(schema_file).iter_errors(document)
     seen = set()
     for error in sorted(errors, key=lambda error: list(map(str, error.absolute_path))):
@@ -83,7 +85,7 @@ def structure_problems(document: Any, schema_file: Path, *, see: str) -> Iterato
 
 
 def check_structure(document: Any, schema_file: Path, *, see: str) -> None:
-    """Raises `LevelFormatError` for the first thing that a JSON schema does not allow; `see` describes the fields."""
+    """Raises `LevelFormatError` for the first violation of a JSON schema; `see` describes the fields."""
     raise_first(structure_problems(document, schema_file, see=see))
 
 
@@ -98,7 +100,7 @@ def _problems_of_error(error: Any, see: str) -> Iterator[LevelFormatError]:
     path, limit, given = _path_text(error.absolute_path), error.validator_value, error.instance
     if error.validator == "required":
         if "then" in error.absolute_schema_path and "type" not in given:
-            return  # what a shape needs depends on its type: that this is missing is said
+            return  # the fields of a shape depend on its type: the missing type is reported
         for missing in (name for name in limit if name not in given):
             yield LevelFormatError(f"{path}.{missing}".lstrip("."), "is missing", f"add {missing!r}")
     elif error.validator == "additionalProperties":
@@ -133,3 +135,33 @@ def _path_text(parts: Any) -> str:
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 40 else text[:37] + "..."
+
+
+REMEDY = "write each level as JSON, in the public package with `export_env_state_to_json`"
+_KINDS = {
+    b"\x80": "a Python pickle, which is never loaded because that would run the code in it",
+    b"BZh": "a bzip2 archive, as which the public package saves pickles, which are never loaded",
+    b"\x1f\x8b": "a gzip archive",
+    b"PK": "a zip archive, as NumPy's .npz is",
+    b"\x93NUMPY": "a NumPy array",
+    b"\x89HDF": "an HDF5 file",
+}  # by their first bytes, none of which begins a JSON text
+_ZARR_FILES = (".zgroup", ".zarray", ".zmetadata", "zarr.json")
+_SUFFIXES = (".pkl", ".pickle", ".pbz2", ".npz", ".npy", ".zarr", ".h5", ".hdf5", ".zip", ".gz", ".msgpack")
+
+
+def kind_of_bytes(content: bytes) -> str | None:
+    """Format of a file that begins with these bytes, if it is a known archive; None if it may be text."""
+    return next((kind for begins, kind in _KINDS.items() if content.startswith(begins)), None)
+
+
+def is_zarr_store(directory: Path) -> bool:
+    """True of a directory that is a store of arrays, whose JSON files are no levels."""
+    return any((directory / name).is_file() for name in _ZARR_FILES)
+
+
+def foreign_files(directory: Path) -> str:
+    """Counts of known other files in a directory without levels, to end a complaint with; empty if there are none."""
+    found = Counter(path.suffix for path in directory.rglob("*") if path.suffix in _SUFFIXES)
+    counts = ", ".join(f"{count} {suffix}" for suffix, count in sorted(found.items()))
+    return f"; {counts} cannot be read here: {REMEDY}" if found else ""

@@ -1,11 +1,11 @@
-"""Is a level document well formed? Every complaint is one line: which field, what is wrong, what to do.
+"""Validation of level documents. Every complaint is one line: field, problem, remedy.
 
     problems = list(problems_of(document, capacity))      all complaints at once, for editors
     validate_document(document, capacity)                 raises the first of them
 
 Two passes: structure by levels/schema.json (`structure.py`), then meaning (polygons convex and counter-clockwise,
-references to shapes that exist, one green and one blue, ends of joints together, room in the size). What has a wrong
-structure is left out of the second pass.
+references to shapes that exist, one green and one blue, ends of joints together, counts within the size). Entries of a
+wrong structure are left out of the second pass.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 from jax2d.scene import Capacity
 from kinetix_dist.level.level import NUM_WALLS
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.structure import (
     LevelFormatError,
     number_problems,
@@ -35,15 +35,15 @@ _PARTS = ("shapes", "joints", "thrusters")
 
 
 def validate_document(document: Any, capacity: Capacity, size_name: str | None = None) -> None:
-    """Raises `LevelFormatError` for the first thing that is wrong with a level of at most this capacity.
+    """Raises `LevelFormatError` for the first fault of a level of at most this capacity.
 
-    `size_name` is what messages call the capacity.
+    size_name: the name of the capacity in messages.
     """
     raise_first(problems_of(document, capacity, size_name))
 
 
 def problems_of(document: Any, capacity: Capacity, size_name: str | None = None) -> Iterator[LevelFormatError]:
-    """Everything that is wrong with a level of at most this capacity, one `LevelFormatError` each."""
+    """All faults of a level of at most this capacity, one `LevelFormatError` each."""
     bad_paths = []
     for problem in _structure_of(document):
         bad_paths.append(problem.path)
@@ -74,13 +74,13 @@ def problems_of(document: Any, capacity: Capacity, size_name: str | None = None)
 
 
 def _structure_of(document: Any) -> Iterator[LevelFormatError]:
-    """Numbers first. What JSON has no name for (NaN) is a number to the schema, so that nothing is said twice."""
+    """Complaints about numbers first. NaN is a number to the schema, so that nothing is reported twice."""
     yield from number_problems(document)
     yield from structure_problems(document, levels_root() / "schema.json", see="docs/level_format.md")
 
 
 def _good_items(document: dict[str, Any], part: str, bad_paths: list[str]) -> dict[int, dict[str, Any]]:
-    """Shapes, joints or thrusters whose structure nobody complained about, by their places."""
+    """Shapes, joints or thrusters without complaints about their structure, by their indices."""
     items = document.get(part, [])
     if not isinstance(items, list):
         return {}
@@ -94,7 +94,7 @@ def check_polygon(vertices: list[list[float]], path: str, capacity: Capacity) ->
 
 
 def _polygon_problems(vertices: list[list[float]], path: str, capacity: Capacity) -> Iterator[LevelFormatError]:
-    """One at most, but for repeated corners: what is wrong in one way is wrong in others for the same reason."""
+    """One complaint at most, but for repeated corners: one fault causes others."""
     count = len(vertices)
     if count > capacity.vertices:
         yield LevelFormatError(path, f"has {count} corners", f"use at most {capacity.vertices}")
@@ -175,7 +175,7 @@ def _gap_problems(joint: dict[str, Any], path: str, shapes: dict[str, dict[str, 
     """The two anchors of a joint must not be far apart; those of a slider may be, along its axis."""
     frames = [_frame(joint[end], shapes) for end in ("a", "b")]
     if frames[0] is None or frames[1] is None:
-        return  # a shape that is not there, or is wrong itself: said already
+        return  # a missing or faulty shape is reported already
     at_a, at_b = (_in_world(frame, joint[f"anchor_{end}"]) for frame, end in zip(frames, ("a", "b")))
     gap = (at_b[0] - at_a[0], at_b[1] - at_a[1])
     axis = frames[0][2] + joint["axis"] if "axis" in joint else None
@@ -190,7 +190,7 @@ def _gap_problems(joint: dict[str, Any], path: str, shapes: dict[str, dict[str, 
 
 
 def _frame(name: str, shapes: dict[str, dict[str, Any]]) -> tuple[float, float, float] | None:
-    """x, y (m) and angle (rad) of the frame of a shape or wall; None of what is not among them."""
+    """x, y (m) and angle (rad) of the frame of a shape or wall; None of an unknown name."""
     if name in WALL_NAMES:
         x, y = WALL_CENTRES_M[WALL_NAMES.index(name)].tolist()
         return x, y, 0.0

@@ -2,10 +2,10 @@
 
     generate_level -> vary, for a share `config.varied_share` of the levels
 
-The generator of the public package gives every wheel the same power and every thruster more than the weight of what it
-pushes, all shapes one density and one friction, and hangs nothing on a wall. People draw other things, and a policy
-that has never seen them acts as if there were none. Each of the changes below is made to half of the levels that are
-varied. Where shapes are does not change, so that nothing overlaps that did not. Pure, for one level; works inside jit
+In the generator of the public package every wheel has the same power, every thruster more than the weight of its shape,
+all shapes have one density and one friction, and nothing hangs on a wall. Levels drawn by people are more varied, and a
+policy that has only seen the former acts as if all levels were so. Each of the changes below is made to half of the
+varied levels. Positions do not change, so that nothing overlaps that did not. Pure, for one level; works inside jit
 and vmap.
 """
 
@@ -18,10 +18,8 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array, JointKind
 from kinetix_dist import prng
-from kinetix_dist.level.connections import connections
-from kinetix_dist.level.derive import derive
-from kinetix_dist.level.level import NUM_WALLS, Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.derive import connections, derive
+from kinetix_dist.level.level import NUM_WALLS, Level, Role
 
 # Lowest and highest factor, by which all of a level's are multiplied; the logarithm of it is uniform.
 MOTOR_POWER = (0.05, 2.0)
@@ -90,8 +88,8 @@ def _either(is_new: Array, new: Level, old: Level) -> Level:
 
 
 def _hung_on_wall(level: Level, wall: Array) -> Level:
-    """What a fixed shape without a role holds by joints is held by a wall instead, and the shape is gone: as people
-    hang things. The level itself where there is no such shape."""
+    """The level with a fixed shape without a role removed and its joints held by a wall instead. The same level where
+    there is no such shape."""
     scene = level.scene
     shapes, joints = scene.shapes, scene.joints
     slots, active = jnp.arange(level.angle.shape[0]), jnp.asarray(joints.active)

@@ -1,11 +1,11 @@
 """Levels as vectors of numbers, for models that learn from levels, and back: any finite numbers make a valid level.
 
-    to_vector    slots in an order that says something (green, blue, red, plain; from left to right), a row each
+    to_vector    slots in a meaningful order (green, blue, red, plain; from left to right), a row each
     from_vector  repairs: one green and one blue shape, not both fixed; sizes, places and anchors within the ranges of
                  the generator; joints that close no loop, after which bodies are moved until their anchors meet;
-                 thrusters on what moves; something to control. What overlaps, `overlaps_at_start` says.
+                 thrusters on moving shapes; a motor or a thruster. `overlaps_at_start` reports overlaps.
 
-What vectors hold is what the generator draws: boxes and circles, hinges and welds, thrusters, roles, those of the
+Vectors hold the generator's levels: boxes and circles, hinges and welds, thrusters, roles, those of the
 floor included. `check_describable` refuses anything else. Everything but that is for one level and traceable.
 """
 
@@ -32,16 +32,16 @@ from kinetix_dist.level.draft import (
     draft_to_level,
     empty_draft,
     joint_row,
+    num_permutation_draws,
+    permute_slots,
     read_slot,
     write_slot,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, WORLD_SIZE_M, Level
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, WORLD_SIZE_M, Level, Role
 from kinetix_dist.level.mutators import begin, draft_of
 from kinetix_dist.level.overlap import separation, world_corners
-from kinetix_dist.level.permute import num_permutation_draws, permute_slots
 from kinetix_dist.level.proposals import box_or_triangle, shape_mass
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M, GRAVITY_M_S2
 
 _MAX_POWER_FACTOR = 2.0  # of thrusters, times mass and `thruster_power_factor`: the generator's maximum
@@ -49,7 +49,7 @@ _ORDER = (3.0, 0.0, 1.0, 2.0)  # of roles none, green, blue, red among slots
 
 
 def check_describable(levels: Level) -> None:
-    """Raises ValueError where a level of a batch (numpy) has what vectors do not hold."""
+    """Raises ValueError where a vector cannot hold a level of a batch (numpy)."""
     shapes, joints = levels.scene.shapes, levels.scene.joints
     num_polygons = np.shape(shapes.num_vertices)[1]
     is_polygon = np.asarray(shapes.active)[:, NUM_WALLS:num_polygons]
@@ -68,7 +68,7 @@ def check_describable(levels: Level) -> None:
     if unknown := {name: int(has.sum()) for name, has in found.items() if has.any()}:
         name, count = next(iter(unknown.items()))
         raise ValueError(
-            f"{count} of {len(is_polygon)} levels have {name}; vectors hold what the generator draws: leave these out"
+            f"{count} of {len(is_polygon)} levels have {name}; vectors hold levels of the generator: leave these out"
         )
 
 
@@ -153,7 +153,7 @@ def _rows(active: Array, columns: list[Array]) -> Array:
 
 
 def _order(draft: Draft, capacity: Capacity) -> Array:
-    """What `permute_slots` sorts by."""
+    """Sort keys for `permute_slots`."""
     shapes, joints, thrusters = draft.shapes, draft.joints, draft.thrusters
     key = jnp.array(_ORDER, jnp.float32)[shapes.role] + shapes.position[:, 0] / (2.0 * WORLD_SIZE_M)
     key = jnp.where(shapes.active, key, 9.0)

@@ -24,7 +24,7 @@ from flax import linen as nn
 
 from jax2d.scene import Array, Capacity
 from kinetix_dist import prng
-from kinetix_dist.level.filters import OVERSAMPLING, keep_unsolved
+from kinetix_dist.level.generator import OVERSAMPLING, keep_unsolved
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.vectors import (

@@ -14,8 +14,7 @@ from flax import linen as nn
 from jax2d.scene import Array, Capacity
 from kinetix_dist.env.action_spaces.masked_categorical import forbid
 from kinetix_dist.level.construction import Construction, What, num_steps
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Role
 from kinetix_dist.models.flat_mlp import FlatMlp
 
 NUM_NOISE = 8  # random numbers of a level that its teacher sees from the start, so that it can build many kinds

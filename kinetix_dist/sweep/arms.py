@@ -1,4 +1,4 @@
-"""Arms of a design and their runs: what each changes, its configuration, and the command that trains it."""
+"""Arms of a design and their runs: changed options, configuration, and the command that trains each."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.config import ConfigError, TrainConfig, flat, from_dict, to_dict
 from kinetix_dist.errors import one_line
 from kinetix_dist.level.sets import files_of_set, size_of_drawn_set
@@ -18,13 +19,12 @@ from kinetix_dist.renamed_settings import RenamedSettingError, refuse_old_option
 from kinetix_dist.sweep.design import Design, DesignError, Options
 from kinetix_dist.sweep.factorial import TwoLevelDesign, two_level_design
 from kinetix_dist.sweep.objective import check_sets
-from kinetix_dist.telemetry.json_lines import replace_file
 
 MAX_ARMS = 512
 PHASES = "phases"  # the option that is a list of tables
 # A run has to have an end of its own. The sweep stops it long before.
 MAX_RUN_SECONDS = 7 * 24 * 3600.0
-# What an option cannot set: (option, why).
+# Options that no arm sets, and why.
 SET_BY_SWEEP = {
     "evaluation.sets": "objective.sets says it",
     "evaluation.every": "objective.every_seconds says it",
@@ -45,7 +45,7 @@ class Arm:
     """One setting of all options."""
 
     name: str
-    options: Options  # beside the recipe
+    options: Options  # besides the recipe
     levels: Mapping[str, int] = dataclasses.field(default_factory=dict)  # -1 or 1 of each factor
     is_fold_over: bool = False
 
@@ -61,7 +61,7 @@ class Run:
 
     @property
     def name(self) -> str:
-        """Of its directory."""
+        """Name of its directory."""
         return f"{self.arm.name}-seed{self.seed}"
 
 
@@ -89,7 +89,7 @@ def _factorial_arm(design: Design, plan: TwoLevelDesign, row: int) -> Arm:
 
 
 def runs_of(design: Design) -> list[Run]:
-    """In the order in which they begin: the first seed of all arms, then the next; a fold-over after what it changes.
+    """Runs in the order in which they begin: the first seed of all arms, then the next; a fold-over comes last.
 
     Raises DesignError for a recipe, an option, a value or a level set that cannot be used.
     """
@@ -166,7 +166,7 @@ def train_arguments(run: Run, recipe_name: str, folder: Path) -> list[str]:
 
 
 def _words_of(value: Any) -> list[str]:
-    """Of an option: those of a list, be they lists too, one after another."""
+    """Words of an option: those of a list, nested ones too, one after another."""
     return [word for entry in value for word in _words_of(entry)] if isinstance(value, list) else [str(value)]
 
 
@@ -181,7 +181,7 @@ def hash_of(design: Design, runs: list[Run]) -> str:
 
 
 def _digest_of_files(level_set: str) -> str | None:
-    """Of the level files of a set; None for one that is drawn."""
+    """Digest of the level files of a set; None for one that is drawn."""
     if size_of_drawn_set(level_set):
         return None
     digest = hashlib.sha256()

@@ -90,7 +90,7 @@ class ArmOptions:
     """One arm of a list."""
 
     name: str
-    options: dict[str, Any] = dataclasses.field(default_factory=dict)  # beside those of the design
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)  # besides those of the design
 
     def __post_init__(self) -> None:
         _check_options(self.options, f"options of arm {self.name}")
@@ -98,7 +98,7 @@ class ArmOptions:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Rung:
-    """How long arms are trained before they are compared."""
+    """Seconds of training before arms are compared, and the share that goes on."""
 
     seconds: float  # of training since the start
     keep: float = 0.0  # share of the arms that goes on; of the last rung none
@@ -127,8 +127,8 @@ class Halving:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Objective:
-    """What is to become large: the area under the curve of weighted solve rates over seconds of training, divided by
-    its span. It lies between 0 and 1."""
+    """Quantity to maximise: the area under the curve of weighted solve rates over seconds of training, divided by its
+    span. It lies between 0 and 1."""
 
     sets: dict[str, float]  # weight of each level set
     every_seconds: float  # between evaluations
@@ -197,7 +197,7 @@ class Design:
 
     @property
     def rung_seconds(self) -> tuple[float, ...]:
-        """After which arms are compared; one number without halving."""
+        """Seconds after which arms are compared; one number without halving."""
         return (self.seconds,) if self.halving is None else tuple(rung.seconds for rung in self.halving.rungs)
 
     @property

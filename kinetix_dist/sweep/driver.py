@@ -1,8 +1,8 @@
 """The loop of a sweep.
 
-consumes      a design, lanes
+consumes      a design, worker slots
 produces      runs/NAME/: design.json, arms/RUN/ (run directories), logs/RUN.log, sweep.json after each run
-waits for     runs in their lanes
+waits for     runs in their slots
 unblocked by  the end of a run; SIGTERM, Ctrl-C or the end of the minutes, upon which runs save and end
 
 It holds no state that is not in the run directories: a run is done when its curve reaches its last second, which is
@@ -20,39 +20,39 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.config import to_dict
 from kinetix_dist.errors import UserError, one_line, user_errors
 from kinetix_dist.runtime import RunDirectoryError, lock_directory
 from kinetix_dist.studio.runs.run_files import CONFIG, read_object
 from kinetix_dist.sweep.arms import Run, hash_of, train_arguments
 from kinetix_dist.sweep.design import Design
-from kinetix_dist.sweep.lanes import Lane, start_training
 from kinetix_dist.sweep.objective import Curve, read_curve, score, seconds_so_far
 from kinetix_dist.sweep.results import results
 from kinetix_dist.sweep.rungs import Stage, stages
-from kinetix_dist.telemetry.json_lines import replace_file
+from kinetix_dist.sweep.slots import Slot, start_training
 
 DESIGN, RESULTS, ARMS, LOGS = "design.json", "sweep.json", "arms", "logs"
 POLL_S = 0.5
 STOP_GRACE_S = 30.0  # beyond run.stop_seconds, at which a run ends itself wherever it is
-# s of training after the end of a run, until its last evaluation has to be there. It comes from a process beside
-# training, which starts and compiles when the first one is asked for.
+# s of training after the end of a run, until its last evaluation has to be there. It comes from a background
+# process, which starts and compiles when the first one is due.
 LATE_AFTER_S = 120.0
-LAST_WORDS = 300  # characters
+MAX_LOG_CHARACTERS = 300  # of a line of a log in a message
 
 
 def directory_of(path: Path, run: Run) -> Path:
-    """Of a run of the sweep in `path`."""
+    """Directory of a run of the sweep in `path`."""
     return path / ARMS / run.name
 
 
 def done_so_far(path: Path, runs: Sequence[Run]) -> dict[str, float]:
-    """s of training that each run has, by its name."""
+    """Seconds of training that each run has, by its name."""
     return {run.name: seconds_so_far(directory_of(path, run)) for run in runs}
 
 
 def check_design(path: Path, design_hash: str) -> bool:
-    """Whether results of this design are in `path`. Raises UserError for those of another."""
+    """True where results of this design are in `path`. Raises UserError for those of another."""
     with user_errors(ValueError, OSError, prefix=f"{path}: "):
         known = read_object(path / DESIGN)
     if known is not None and known.get("hash") != design_hash:
@@ -64,7 +64,7 @@ def check_design(path: Path, design_hash: str) -> bool:
 
 
 def seconds_to_stop(runs: Sequence[Run]) -> float:
-    """s after which all runs have ended that were told to, wherever they were."""
+    """Seconds after which all runs that were stopped have ended."""
     return max(run.config.run.stop_seconds for run in runs) + STOP_GRACE_S
 
 
@@ -79,13 +79,13 @@ class SweepStoppedError(Exception):
 @dataclasses.dataclass
 class _Active:
     run: Run
-    lane: Lane
+    slot: Slot
     process: subprocess.Popen[bytes]
     stopped_at: float | None = None  # s of time.monotonic(), of SIGTERM
 
 
 class Sweep:
-    """Of one design in one directory. `close` gives the directory back."""
+    """Sweep of one design in one directory. `close` gives the directory back."""
 
     def __init__(self, design: Design, runs: Sequence[Run], path: Path) -> None:
         """Takes the directory. Raises UserError for one of another design, or in use."""
@@ -111,19 +111,21 @@ class Sweep:
     def directory(self, run: Run) -> Path:
         return directory_of(self.path, run)
 
-    def train(self, lanes: Sequence[Lane], *, tell: Callable[[str], None], must_stop: Callable[[], str | None]) -> None:
+    def train(
+        self, slots: Sequence[Slot], *, report: Callable[[str], None], must_stop: Callable[[], str | None]
+    ) -> None:
         """Trains what is left. must_stop: why it is to end now; None: it goes on.
 
         Raises SweepStoppedError, and RunsFailedError once all others of a stage are trained.
         """
         for stage in self._stages():
-            failures = self._train_stage(stage, lanes, tell, must_stop)
+            failures = self._train_stage(stage, slots, report, must_stop)
             if failures:
                 raise RunsFailedError("; ".join(failures))
         self.write(is_complete=True)
 
     def write(self, *, is_complete: bool = False) -> None:
-        """sweep.json, of what the run directories hold. Raises UserError where it cannot be written."""
+        """Writes sweep.json from the run directories. Raises UserError where it cannot be written."""
         curves = {run.name: self._curve(run) for run in self.runs}
         content = results(
             self.design, self.runs, curves, self._targets(curves), design_hash=self.hash, is_complete=is_complete
@@ -149,7 +151,7 @@ class Sweep:
         return stages(self.design, self.runs, self._area)
 
     def _targets(self, curves: dict[str, Curve]) -> dict[str, float]:
-        """By run, until which second it is to be trained, as far as is known."""
+        """Second until which each run is to be trained, by its name, as far as is known."""
         targets: dict[str, float] = {}
         for stage in self._stages():
             targets |= {run.name: stage.seconds for run in stage.runs}
@@ -158,37 +160,37 @@ class Sweep:
         return targets
 
     def _train_stage(
-        self, stage: Stage, lanes: Sequence[Lane], tell: Callable[[str], None], must_stop: Callable[[], str | None]
+        self, stage: Stage, slots: Sequence[Slot], report: Callable[[str], None], must_stop: Callable[[], str | None]
     ) -> list[str]:
         """Failures, a line each."""
         waiting = [run for run in stage.runs if not self._curve(run).reaches(stage.seconds)]
-        free, active, failures = list(lanes), list[_Active](), list[str]()
+        free, active, failures = list(slots), list[_Active](), list[str]()
         try:
             while waiting or active:
                 if (reason := must_stop()) is not None:
                     left = len(waiting) + len(active)
                     raise SweepStoppedError(f"{reason}, with {left} of {len(stage.runs)} runs to go")
                 while waiting and free:
-                    active.append(self._start(waiting.pop(0), free.pop(0), tell))
+                    active.append(self._start(waiting.pop(0), free.pop(0), report))
                 time.sleep(POLL_S)
                 for one in list(active):
                     if one.process.poll() is None:
                         self._stop_if_due(one, stage.seconds)
                         continue
                     active.remove(one)
-                    free.append(one.lane)
-                    failures += self._finished(one, stage.seconds, tell)
+                    free.append(one.slot)
+                    failures += self._finished(one, stage.seconds, report)
         finally:
             self._end(active)
             self.write()
         return failures
 
-    def _start(self, run: Run, lane: Lane, tell: Callable[[str], None]) -> _Active:
+    def _start(self, run: Run, slot: Slot, report: Callable[[str], None]) -> _Active:
         directory, log = self.directory(run), self.path / LOGS / f"{run.name}.log"
         goes_on = (directory / CONFIG).is_file()
         arguments = ["--resume"] if goes_on else train_arguments(run, self.design.recipe, self.path / LOGS)
-        tell(f"{run.name} {'goes on' if goes_on else 'begins'} on {lane.name}")
-        return _Active(run, lane, start_training(["--run", str(directory), *arguments], lane, log))
+        report(f"{run.name} {'goes on' if goes_on else 'begins'} on {slot.name}")
+        return _Active(run, slot, start_training(["--run", str(directory), *arguments], slot, log))
 
     def _stop_if_due(self, one: _Active, until: float) -> None:
         if one.stopped_at is not None:
@@ -201,14 +203,14 @@ class Sweep:
             one.process.terminate()
             one.stopped_at = time.monotonic()
 
-    def _finished(self, one: _Active, until: float, tell: Callable[[str], None]) -> list[str]:
-        """Of a run that has ended: nothing, or why it failed."""
+    def _finished(self, one: _Active, until: float, report: Callable[[str], None]) -> list[str]:
+        """Failures of a run that has ended: none, or a line that says why."""
         run, log = one.run, self.path / LOGS / f"{one.run.name}.log"
         curve = self._curve(run)
         stored = read_object(self.directory(run) / CONFIG) or {}
         if curve.reaches(until) and stored.get("hash") == run.config.hash:
             found = score(curve, self.design.objective, until)
-            tell(f"{run.name} done: area {found.area:.4f}, last {found.last:.4f}, {curve.updates[-1]} updates")
+            report(f"{run.name} done: area {found.area:.4f}, last {found.last:.4f}, {curve.updates[-1]} updates")
             self.write()
             return []
         if curve.reaches(until):
@@ -217,7 +219,7 @@ class Sweep:
             why = f"no evaluation came within {LATE_AFTER_S:g} s after second {until:g}; raise objective.every_seconds"
         else:
             why = f"exit status {one.process.returncode}: {_last_line(log)}"
-        tell(f"{run.name} failed: {why}")
+        report(f"{run.name} failed: {why}")
         return [f"{run.name} failed ({why}; see {log})"]
 
     def _end(self, active: Sequence[_Active]) -> None:
@@ -235,4 +237,4 @@ class Sweep:
 
 def _last_line(log: Path) -> str:
     lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
-    return one_line(lines[-1])[:LAST_WORDS] if lines else "it said nothing"
+    return one_line(lines[-1])[:MAX_LOG_CHARACTERS] if lines else "it wrote nothing"

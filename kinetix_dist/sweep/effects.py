@@ -25,7 +25,7 @@ HIGH_ORDER = 3  # products of so many factors are taken for noise
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Error:
-    """What a standard error was estimated from."""
+    """Standard error with the source of its estimate."""
 
     standard_error: float
     degrees_of_freedom: int
@@ -61,8 +61,8 @@ class Estimate:
 
 
 def main_effects(design: TwoLevelDesign, values: Sequence[Sequence[float]]) -> list[Estimate]:
-    """Of all factors, in their order. values: of each arm, in the order of `design.levels`, one for each seed; as many
-    seeds in every arm of a half (ValueError)."""
+    """Main effects of all factors, in their order. values: of each arm in the order of `design.levels`, one a seed;
+    as many seeds in every arm of a half (ValueError)."""
     counts = [len(of_arm) for of_arm in values]
     if len(counts) != len(design.levels) or min(counts) < 1:
         raise ValueError(f"{len(counts)} arms with {counts} values; {len(design.levels)} arms are needed")

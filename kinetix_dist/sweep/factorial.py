@@ -1,4 +1,4 @@
-"""Two-level designs: levels of every arm, and which effects cannot be told apart.
+"""Two-level designs: levels of every arm, and aliased effects.
 
 A factor is a word over basic columns, kept as a set of bits; the product of two factors is the exclusive or of their
 words, and two products are aliases where their words are the same. The fold-over is one basic column more, which
@@ -21,7 +21,7 @@ MAX_FACTORS = 15  # words of all products are enumerated: 2^15 of them
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TwoLevelDesign:
-    """`fold_over`: whether the second half, with all levels changed, belongs to it."""
+    """Two-level design. `fold_over`: the second half, with all levels changed, belongs to it."""
 
     names: tuple[str, ...]  # of the factors
     words: tuple[int, ...]  # of the factors, as bits over basic columns, without the fold-over
@@ -46,7 +46,7 @@ class TwoLevelDesign:
 
     @property
     def factor_words(self) -> tuple[int, ...]:
-        """With the column of the fold-over, which all factors have."""
+        """Words of the factors with the column of the fold-over, which all of them have."""
         return tuple(word | (self.fold_over << self.num_basic) for word in self.words)
 
     @property
@@ -61,8 +61,8 @@ class TwoLevelDesign:
 
     @functools.cached_property
     def orders(self) -> dict[int, int]:
-        """Of each word, of how many factors the shortest product is that gives it; words that none gives are left
-        out. Word 0 has the order of the shortest product that is constant: the resolution."""
+        """Number of factors of the shortest product that gives each word; words that none gives are left out. Word 0
+        has the order of the shortest product that is constant: the resolution."""
         orders: dict[int, int] = {}
         words = self.factor_words
         products = [0] * (1 << len(words))  # of every set of factors, a set being the bits of its number
@@ -79,7 +79,7 @@ class TwoLevelDesign:
         return self.orders.get(0)
 
     def aliases(self) -> dict[str, list[str]]:
-        """By factor: the two-factor interactions that its main effect cannot be told from, as "a x b"."""
+        """Two-factor interactions, as "a x b", that are aliases of each factor's main effect."""
         found: dict[str, list[str]] = {name: [] for name in self.names}
         by_word = dict(zip(self.factor_words, self.names, strict=True))
         for (a, word_a), (b, word_b) in itertools.combinations(zip(self.names, self.factor_words, strict=True), 2):
@@ -88,12 +88,12 @@ class TwoLevelDesign:
         return found
 
     def first_half(self) -> TwoLevelDesign:
-        """Without the fold-over."""
+        """The design without its fold-over."""
         return dataclasses.replace(self, fold_over=False)
 
 
 def two_level_design(factorial: Factorial) -> TwoLevelDesign:
-    """Raises DesignError where two factors could not be told apart."""
+    """The two-level design of a factorial. Raises DesignError where two factors are aliases."""
     names = tuple(factor.name for factor in factorial.factors)
     if len(names) > MAX_FACTORS:
         raise DesignError(f"factorial has {len(names)} factors; at most {MAX_FACTORS} can be planned")

@@ -1,4 +1,4 @@
-"""What a sweep judges arms by: weighted solve rates over seconds of training, from the files of a run.
+"""Objective of a sweep: weighted solve rates over seconds of training, from the files of a run.
 
     evaluations.jsonl (solved levels after k updates) + metrics.jsonl (seconds after k updates) -> curve -> area, last
 
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.set_files import designed_files, designed_sets
+from kinetix_dist.level.level_data import designed_files, designed_sets
 from kinetix_dist.level.sets import RANDOM_SETS, development_sets, files_of_set, is_public_level, size_of_drawn_set
 from kinetix_dist.studio.runs.evaluations import evaluations
 from kinetix_dist.studio.runs.run_files import METRICS, last_row
@@ -36,32 +36,32 @@ class Curve:
     rates: Mapping[str, np.ndarray]  # [points] of each level set
 
     def reaches(self, second: float) -> bool:
-        """Whether there is an evaluation at or after it."""
+        """True where there is an evaluation at or after it."""
         return len(self.seconds) > 0 and bool(self.seconds[-1] >= second)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Score:
-    """Of one run."""
+    """Objectives of one run."""
 
     area: float  # mean of the curve over its span
     last: float  # mean of its last values
 
 
 def training_seconds(row: Mapping[str, float]) -> float:
-    """Of a row of metrics."""
+    """Seconds of training at a row of metrics, without warm-up."""
     return row["progress/seconds"] - row["progress/warmup_seconds"]
 
 
 def seconds_so_far(run: Path) -> float:
-    """Of training after its warm-up, by the last row of metrics; 0 where there is none."""
+    """Seconds of training after its warm-up, by the last row of metrics; 0 where there is none."""
     row = last_row(run / METRICS, is_row=is_metrics_row).row
     return training_seconds(row) if row is not None and "progress/warmup_seconds" in row else 0.0
 
 
 def read_curve(run: Path, objective: Objective) -> Curve:
-    """What a run directory holds so far. An evaluation without a row of metrics of its update (a disk that was full)
-    is left out. Raises RunFileError where a file cannot be read."""
+    """Curve of a run directory so far. An evaluation without a row of metrics of its update (a disk that was full) is
+    left out. Raises RunFileError where a file cannot be read."""
     rows = read_lines(run / METRICS, is_metrics_row).rows
     seconds_at = {row["update"]: training_seconds(row) for row in rows if "progress/warmup_seconds" in row}
     seconds_at[0] = 0.0
@@ -85,7 +85,7 @@ def read_curve(run: Path, objective: Objective) -> Curve:
 
 
 def score(curve: Curve, objective: Objective, until: float) -> Score:
-    """Of the curve from `objective.from_second` until a second that it reaches."""
+    """Score of the curve from `objective.from_second` until a second that it reaches."""
     last = int(np.searchsorted(curve.seconds, until)) + 1  # evaluations up to the first one at or after it
     return Score(
         area=area(curve.seconds, curve.values, objective.from_second, until),

@@ -65,9 +65,9 @@ def _draw_curves(panel: Any, found: Mapping[str, Any]) -> None:
 def _draw_estimates(panel: Any, rows: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
     """Points with intervals, one below the other; of both objectives side by side."""
     for shift, objective in zip((-0.12, 0.12), rows, strict=True):
-        for place, row in enumerate(rows[objective]):
-            y = place + shift
-            label = LABELS[objective] if place == 0 else None
+        for index, row in enumerate(rows[objective]):
+            y = index + shift
+            label = LABELS[objective] if index == 0 else None
             panel.plot(row["value"], y, "o", color=COLOURS[objective], label=label)
             if row["low"] is not None:
                 panel.plot([row["low"], row["high"]], [y, y], "-", color=COLOURS[objective])

@@ -1,4 +1,4 @@
-"""What a sweep has found so far, as JSON: `sweep.json`. Tables and the picture are drawn from it alone.
+"""Results of a sweep so far, as JSON: `sweep.json`. Tables and the picture are drawn from it alone.
 
 {format, name, hash, state, objective, runs: [...], arms: [...], effects: {area: [...], last: [...]} or null}
 """
@@ -30,7 +30,7 @@ def results(
     design_hash: str,
     is_complete: bool,
 ) -> dict[str, Any]:
-    """targets: by name of a run, until which second it is to be trained."""
+    """Content of sweep.json. targets: second until which each run is to be trained, by its name."""
     scored = {run.name: _scores(design, curves[run.name]) for run in runs}
     done = {run.name for run in runs if curves[run.name].reaches(targets[run.name])}
     return {
@@ -59,7 +59,7 @@ def results(
 
 
 def _scores(design: Design, curve: Curve) -> dict[float, Score]:
-    """At each rung that the curve reaches."""
+    """Scores at each rung that the curve reaches."""
     return {until: score(curve, design.objective, until) for until in design.rung_seconds if curve.reaches(until)}
 
 
@@ -73,7 +73,7 @@ def _curve(curve: Curve) -> dict[str, Any]:
 
 
 def _arms(design: Design, runs: Sequence[Run], scored: Mapping[str, Mapping[float, Score]]) -> list[dict[str, Any]]:
-    """Of each rung, means of the arms all of whose runs reached it; best first."""
+    """Means, at each rung, of the arms all of whose runs reached it; best first."""
     rows: list[dict[str, Any]] = []
     for until in design.rung_seconds:
         reached = _reached(runs, scored, until)
@@ -96,7 +96,7 @@ def _arms(design: Design, runs: Sequence[Run], scored: Mapping[str, Mapping[floa
 
 
 def _reached(runs: Sequence[Run], scored: Mapping[str, Mapping[float, Score]], until: float) -> dict[str, list[Score]]:
-    """By arm, the scores of its seeds, where all of them are there."""
+    """Scores of the seeds of each arm, where all of them are there."""
     by_arm: dict[str, list[Run]] = {}
     for run in runs:
         by_arm.setdefault(run.arm.name, []).append(run)
@@ -108,7 +108,7 @@ def _reached(runs: Sequence[Run], scored: Mapping[str, Mapping[float, Score]], u
 
 
 def _effects(design: Design, runs: Sequence[Run], scored: Mapping[str, Mapping[float, Score]]) -> dict[str, Any] | None:
-    """Of the whole design; of its first half where its fold-over is not complete; None before."""
+    """Effects of the whole design; of its first half where its fold-over is not complete; None before."""
     if design.factorial is None:
         return None
     whole = two_level_design(design.factorial)

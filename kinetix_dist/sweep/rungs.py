@@ -1,4 +1,4 @@
-"""Rungs of a sweep: which runs are trained until which second. Without halving there is one, of all runs."""
+"""Rungs of a sweep: runs and the second until which they are trained. Without halving there is one, of all runs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Stage:
 
 
 def stages(design: Design, runs: Sequence[Run], area_of: Callable[[Run, float], float]) -> Generator[Stage]:
-    """One after another; each has to be complete before the next is asked for. area_of: the objective of a run until a
+    """Stages, each of which has to be complete before the next is taken. area_of: the objective of a run until a
     second, by which arms stay (their mean over seeds); of equal ones the first."""
     going = list(runs)
     keeps = [rung.keep for rung in design.halving.rungs] if design.halving is not None else [0.0]
@@ -34,64 +34,64 @@ def stages(design: Design, runs: Sequence[Run], area_of: Callable[[Run, float], 
             means = {
                 arm: float(np.mean([area_of(run, seconds) for run in going if run.arm.name == arm])) for arm in arms
             }
-            best = sorted(arms, key=lambda arm: -means[arm])[: num_kept(len(arms), keep)]
+            best = sorted(arms, key=lambda arm: -means[arm])[: num_staying(len(arms), keep)]
             going = [run for run in going if run.arm.name in best]
 
 
-def num_kept(num_arms: int, keep: float) -> int:
+def num_staying(num_arms: int, keep: float) -> int:
     """Arms that go on: their share, rounded up, and at least one."""
     return max(1, math.ceil(num_arms * keep - 1e-9))
 
 
 def stage_sizes(design: Design, num_runs: int) -> list[tuple[int, float]]:
-    """(runs, seconds until which) of each stage to come."""
+    """(number of runs, second until which they are trained) of each stage to come."""
     sizes, arms = [], len(design.arms)
     for number, seconds in enumerate(design.rung_seconds):
         sizes.append((arms * len(design.seeds) if design.halving is not None else num_runs, seconds))
         if design.halving is not None:
-            arms = num_kept(arms, design.halving.rungs[number].keep)
+            arms = num_staying(arms, design.halving.rungs[number].keep)
     return sizes
 
 
-def predicted_seconds(design: Design, done: Sequence[float], num_lanes: int) -> float:
+def predicted_seconds(design: Design, done: Sequence[float], num_slots: int) -> float:
     """Wall time of what is left. done: seconds that each run has been trained so far."""
     total, ordered = 0.0, list(done)
     for number, (count, until) in enumerate(stage_sizes(design, len(ordered))):
         if number:  # those that go on are not known: the longest trained, which they will be
             ordered = sorted(ordered, reverse=True)
         left = [until - seconds for seconds in ordered[:count] if seconds < until]
-        total += _makespan([design.start_seconds + seconds for seconds in left], num_lanes)
+        total += _makespan([design.start_seconds + seconds for seconds in left], num_slots)
         ordered = [max(seconds, until) for seconds in ordered[:count]]
     return total
 
 
-def check_fits(design: Design, done: Mapping[str, float], num_lanes: int, minutes: float) -> None:
+def check_fits(design: Design, done: Mapping[str, float], num_slots: int, minutes: float) -> None:
     """Raises UserError, which says what fits, where the runs that are left take longer."""
-    seconds = predicted_seconds(design, list(done.values()), num_lanes)
+    seconds = predicted_seconds(design, list(done.values()), num_slots)
     if seconds <= 60 * minutes:
         return
     left = [value for value in done.values() if value < design.rung_seconds[-1]]
-    lanes = f"{num_lanes} lane{'s' if num_lanes > 1 else ''}"
-    given = f"{len(left)} runs on {lanes} take {seconds / 60:.0f} minutes, and {minutes:g} are given"
+    slots = f"{num_slots} slot{'s' if num_slots > 1 else ''}"
+    given = f"{len(left)} runs on {slots} take {seconds / 60:.0f} minutes, and {minutes:g} are given"
     enough = f"--minutes {math.ceil(seconds / 60)}"
     if design.halving is not None:
         fitting = [
             until
             for number, until in enumerate(design.rung_seconds)
-            if predicted_seconds(_until(design, number), list(done.values()), num_lanes) <= 60 * minutes
+            if predicted_seconds(_until(design, number), list(done.values()), num_slots) <= 60 * minutes
         ]
         what = f"the rungs up to {fitting[-1]:g} s fit" if fitting else "not even the first rung fits"
     else:
         fit = max(
-            n for n in range(len(left) + 1) if n == 0 or predicted_seconds(design, left[:n], num_lanes) <= 60 * minutes
+            n for n in range(len(left) + 1) if n == 0 or predicted_seconds(design, left[:n], num_slots) <= 60 * minutes
         )
-        waves = math.ceil(len(left) / num_lanes)
+        waves = math.ceil(len(left) / num_slots)
         every = design.objective.every_seconds
         shorter = (60 * minutes / waves - design.start_seconds) // every * every
         what = f"{fit} runs fit" + (
             f", or all with seconds {shorter:g}" if shorter > design.objective.from_second else ""
         )
-    raise UserError(f"{given}: {what}; or give {enough} or more lanes")
+    raise UserError(f"{given}: {what}; or give {enough} or more slots")
 
 
 def _until(design: Design, last: int) -> Design:
@@ -104,9 +104,9 @@ def _until(design: Design, last: int) -> Design:
     return dataclasses.replace(design, halving=dataclasses.replace(design.halving, rungs=rungs))
 
 
-def _makespan(seconds: Sequence[float], num_lanes: int) -> float:
-    """Of jobs that begin in their order, each in the first lane that is free."""
-    ends = [0.0] * num_lanes
+def _makespan(seconds: Sequence[float], num_slots: int) -> float:
+    """Seconds until jobs have ended that begin in their order, each in the first free slot."""
+    ends = [0.0] * num_slots
     for job in seconds:
         heapq.heapreplace(ends, ends[0] + job)
     return max(ends)

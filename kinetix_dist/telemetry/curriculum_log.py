@@ -1,6 +1,6 @@
-"""What training writes of its curriculum for dashboards, `curriculum/` of a run; docs/run_data.md has every field.
+"""Files about the curriculum for dashboards, `curriculum/` of a run; docs/run_data.md describes every field.
 
-    refresh_XXXXXXXX.npz   levels that a refresh kept, counts of all candidates
+    refresh_XXXXXXXX.npz   levels that a refresh stored, counts of all candidates
     buffer_XXXXXXXX.npz    a replay buffer at a checkpoint
     outcomes.jsonl         attempts of training, by level of the buffer and by where levels come from
 
@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.telemetry.json_lines import read_lines, replace_file
+from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.telemetry.json_lines import read_lines
 
 FORMAT = 1  # of snapshots
 OUTCOMES_FORMAT = 2  # lines count attempts, the first episode of each world in an update
@@ -36,7 +37,7 @@ _NAME = re.compile(rf"({'|'.join(KINDS)})_(\d{{8}})\.npz")
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CurriculumLogConfig:
-    """How much of the curriculum is written down. Changes no number of training."""
+    """Amount of the curriculum that is written down. Changes no number of training."""
 
     outcomes_every: int = 16  # updates that a line of outcomes.jsonl covers at most; 0: none is written
     probe_levels: int = 256  # of the outgoing buffer, played again by the policy of the next refresh; 0: none
@@ -53,11 +54,11 @@ class CurriculumLogConfig:
             )
         if self.max_snapshots == 1:
             raise ValueError(
-                "CurriculumLogConfig.max_snapshots is 1; the first and the newest are kept: give 2 or more, or 0"
+                "CurriculumLogConfig.max_snapshots is 1; the first and the newest stay: give 2 or more, or 0"
             )
 
     def has_probe(self, refresh: int) -> bool:
-        """Whether a refresh plays levels of the buffer in use again; the first, number 0, has none."""
+        """True where a refresh plays levels of the buffer in use again; the first, number 0, has none."""
         return self.probe_levels > 0 and refresh > 0 and refresh % self.probe_every == 0
 
 
@@ -72,7 +73,7 @@ class Snapshot:
     kind: str  # of KINDS
     number: int  # of the file's name: policy version, or updates done
     arrays: Mapping[str, np.ndarray]  # by the names of docs/run_data.md, without those of levels
-    levels: Mapping[str, np.ndarray] | None  # [n, ...] by path; None: left out, or not asked for
+    levels: Mapping[str, np.ndarray] | None  # [n, ...] by path; None: left out, or not requested
     has_levels: bool  # the file has them
 
 
@@ -147,7 +148,7 @@ def thin_snapshots(directory: Path, kind: str, max_snapshots: int) -> list[Path]
 
 
 def _has_levels(path: Path) -> bool:
-    """False for a file that cannot be read, too: whoever reads it says so."""
+    """True for a file with levels; False for one that cannot be read, too: its reader says so."""
     try:
         with zipfile.ZipFile(path) as file:
             return any(name.startswith(LEVELS) for name in file.namelist())
@@ -156,7 +157,7 @@ def _has_levels(path: Path) -> bool:
 
 
 def remove_later_snapshots(directory: Path, num_updates: int, *, is_curated: bool = False) -> list[Path]:
-    """Of a run that goes on after so many updates, removes what it is about to write again; returns what was damaged.
+    """Removes the files that a run which goes on after so many updates is about to write again; returns damaged ones.
 
     A buffer is written with the checkpoint of its update, a refresh is adopted after it, or before it: is_curated.
     """
@@ -187,6 +188,6 @@ def read_outcomes(path: Path) -> list[dict[str, Any]]:
 
 
 def is_outcomes(row: Mapping[str, Any]) -> bool:
-    """Whether an object is a line of outcomes.jsonl, of this format or of the one before."""
+    """True for a line of outcomes.jsonl, of this format or of the one before."""
     is_known = row.get("format") in (OUTCOMES_FORMAT, ALL_EPISODES_FORMAT)
     return is_known and isinstance(row.get("update"), int) and isinstance(row.get("sources"), dict)

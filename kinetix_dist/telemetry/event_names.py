@@ -1,4 +1,4 @@
-"""Every event that a run can write to events.jsonl, and what it means. A name that is not here is refused."""
+"""Events that a run can write to events.jsonl, and their meanings. A name that is not here is refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EVENTS: dict[str, str] = {
     "recovered": "the first new result after a loss: from and to which update, seconds since that loss",
     "resized": "nodes were lost or came: from and to how many processes of a role, and at which update",
     "straggler": "a rollout actor took over twice the median of the others, five batches in a row: which, and seconds",
-    "fork_server_lost": "what processes are forked from ended or was stopped, and another one takes its place: why",
+    "fork_server_lost": "the fork server ended or was stopped, and another one replaces it: why",
     "token_secured": "Ray's token file could be read by others, and cannot any more",
     "run_started": "the command began: its process, the number of this session, and whether it goes on with a run",
     "run_finished": "the run came to its end: after which update",
@@ -37,7 +37,7 @@ EVENTS: dict[str, str] = {
     "checkpoint_rejected": "a checkpoint cannot be used: why",
     "drafts_removed": "unfinished checkpoints of processes that are gone were removed",
     # Files
-    "lines_set_aside": "damaged lines were moved into the `.damaged` file beside",
+    "lines_set_aside": "damaged lines were moved into the `.damaged` file of the same name",
     "file_set_aside": "a file that cannot be read was renamed: to what, and why",
     "sink_failing": "rows of metrics begin to be dropped: by which sink, and why",
     "sink_recovered": "a sink takes rows again: how many were dropped in between",
@@ -55,7 +55,7 @@ EVENTS: dict[str, str] = {
 
 
 def check_event(name: str) -> str:
-    """The name; raises UnknownEventError for one that nobody described."""
+    """The name; raises UnknownEventError for one that is not described."""
     if name not in EVENTS:
         raise UnknownEventError(f"event {name!r} is not described; add it to kinetix_dist/telemetry/event_names.py")
     return name

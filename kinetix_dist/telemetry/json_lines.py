@@ -1,30 +1,71 @@
-"""Files of JSON objects, one a line, that survive a kill at any byte.
+"""Files of JSON objects, one a line, that survive a kill at any byte; strict JSON; times as files of a run have them.
 
-A line is whole when it parses (`strict_json`), since an object ends with its last character. What does not parse is
-damaged: it is set aside into a file beside, never lost and never joined with what is written next. Rewriting goes
+A line is whole when it parses (`loads_json`), since an object ends with its last character. A line that does not parse
+is damaged: it is set aside into another file, never lost and never joined with what is written next. Rewriting goes
 through a draft that is flushed to the disk and then renamed, so that at every moment the old or the new file is there.
+
+Python's `json` reads NaN and Infinity, and makes infinity of 1e999. JSON has no such numbers: a page could not be sent
+them, and columns of numbers would hold what no run has measured. Integers have 64 bits here, as columns of them do. Our
+own writers write null for a value that is not finite. Times are UTC: 2026-01-31T12:00:00Z.
 """
 
 from __future__ import annotations
 
-import contextlib
+import calendar
 import dataclasses
 import json
-import os
-import threading
+import math
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from kinetix_dist.telemetry import strict_json
-from kinetix_dist.telemetry.whole_writes import WholeWrites
+from kinetix_dist.atomic_files import AtomicAppender, flush_to_disk, replace_file
+
+MAX_INTEGER = 2**63 - 1
+
+
+def loads_json(content: bytes | str) -> Any:
+    """Content of strict JSON. Raises ValueError, in one line: no JSON, or which number is none."""
+    try:
+        found = json.loads(content)
+        bad = _bad_number(found)
+    except RecursionError:
+        raise ValueError("brackets are nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(" ".join(str(error).split())) from None
+    if bad is not None:
+        names, problem = bad
+        raise ValueError(" ".join(filter(None, [".".join(reversed(names)), problem])))
+    return found
+
+
+def _bad_number(value: Any) -> tuple[list[str], str] | None:
+    """(names that lead to it, the innermost first; what is wrong) of the first number that JSON does not have."""
+    if isinstance(value, float):
+        return None if math.isfinite(value) else ([], f"is {value}, which JSON does not have")
+    if isinstance(value, int):
+        return None if -MAX_INTEGER <= value <= MAX_INTEGER else ([], "is an integer of more than 64 bits")
+    if isinstance(value, dict):
+        entries = value.items()
+    elif isinstance(value, list):
+        entries = enumerate(value)
+    else:
+        return None
+    for name, entry in entries:
+        bad = _bad_number(entry)
+        if bad is not None:
+            bad[0].append(str(name))
+            return bad
+    return None
+
 
 Row = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
 class Lines:
-    """What a file holds."""
+    """Content of a file."""
 
     rows: list[Row]
     damaged: list[bytes]  # without line ends
@@ -46,9 +87,9 @@ def read_lines(path: Path, is_row: Callable[[Row], bool] = lambda row: True) -> 
 
 def append_line(path: Path, row: Mapping[str, Any]) -> None:
     """Adds a row on a line of its own, also after an unfinished one: whole, or not at all where OSError is raised."""
-    file = WholeWrites(path)
+    file = AtomicAppender(path)
     try:
-        file.write_line(_encode(row))
+        file.append_line(_encode(row))
     finally:
         file.close()
 
@@ -59,14 +100,14 @@ def mend_lines(path: Path, *, is_row: Callable[[Row], bool], keep: Callable[[Row
     These go to `damaged_path(path)`, whose own lines are raw bytes. Nothing is written where nothing changes.
     """
     lines = read_lines(path, is_row)
-    kept = [row for row in lines.rows if keep(row)]
-    if len(kept) == len(lines.rows) and not lines.damaged and lines.is_ended:
+    rows = [row for row in lines.rows if keep(row)]
+    if len(rows) == len(lines.rows) and not lines.damaged and lines.is_ended:
         return 0
     if lines.damaged:
         with damaged_path(path).open("ab") as file:  # first: a kill in between sets a line aside twice, and loses none
             file.write(b"".join(line + b"\n" for line in lines.damaged))
-            _flush_to_disk(file)
-    replace_file(path, b"".join(map(_encode, kept)))
+            flush_to_disk(file)
+    replace_file(path, b"".join(map(_encode, rows)))
     return len(lines.damaged)
 
 
@@ -99,30 +140,6 @@ def set_aside_file(path: Path, word: str = "damaged") -> Path:
     return path.rename(aside)
 
 
-def replace_file(path: Path, content: bytes, *, is_shared: bool = False) -> None:
-    """Gives a file new content: whoever reads it, and whenever this is killed, has the old or the new one, whole.
-
-    is_shared: whether others may do so at the same time; the last of them wins. Raises OSError, and leaves no draft
-    then.
-    """
-    own = f".{os.getpid()}-{threading.get_ident()}" if is_shared else ""
-    draft = path.with_name(f".{path.name}{own}.draft")
-    try:
-        with draft.open("wb") as file:
-            file.write(content)
-            _flush_to_disk(file)
-        os.replace(draft, path)
-    except OSError:
-        with contextlib.suppress(OSError):  # the first error is the one to report
-            draft.unlink()  # a full disk has better uses
-        raise
-    directory = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
-
-
 def parse_line(line: bytes) -> Row | None:
     """The JSON object of a line; None: it is damaged."""
     try:
@@ -133,7 +150,7 @@ def parse_line(line: bytes) -> Row | None:
 
 def parse_row(line: bytes) -> Row:
     """The JSON object of a line. Raises ValueError: why it is damaged, in one line."""
-    row = strict_json.loads(line)
+    row = loads_json(line)
     if not isinstance(row, dict):
         raise ValueError(f"it holds a {type(row).__name__}, not an object")
     return row
@@ -143,6 +160,14 @@ def _encode(row: Mapping[str, Any]) -> bytes:
     return json.dumps(row).encode() + b"\n"
 
 
-def _flush_to_disk(file: Any) -> None:
-    file.flush()
-    os.fsync(file.fileno())
+_TIME_FORMAT = "%Y-%m-%dT%H:%M:%SZ"
+
+
+def utc_text(seconds: float | None = None) -> str:
+    """Text of s since the epoch; None: now."""
+    return time.strftime(_TIME_FORMAT, time.gmtime(seconds))
+
+
+def utc_seconds(text: str) -> float:
+    """The inverse, s since the epoch. Raises ValueError."""
+    return float(calendar.timegm(time.strptime(text, _TIME_FORMAT)))

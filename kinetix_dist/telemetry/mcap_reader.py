@@ -29,7 +29,7 @@ _RECORD_HEAD = struct.Struct("<BQ")
 
 
 def read_recording(path: str | os.PathLike[str], decode_level: Callable[[str], RecordedLevel]) -> Recording:
-    """Every rollout of a file, with one line for each thing that was wrong.
+    """Every rollout of a file, with one line for each fault.
 
     `decode_level` makes a level of its JSON text. A rollout whose end is missing has `is_complete` False. Raises
     RecordingError when the file is no recording, OSError when it cannot be opened.

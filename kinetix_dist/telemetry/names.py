@@ -121,7 +121,7 @@ _ALL = (
     ),
     Metric("curriculum/solve_rate", "share", "mean solve rate of the same levels when they were scored"),
     Metric("curriculum/learnable_share", "share", "of the candidates scored, how many had a score above zero"),
-    Metric("curriculum/mean_candidate_score", "p(1-p)", "mean score of all candidates scored, kept or not"),
+    Metric("curriculum/mean_candidate_score", "p(1-p)", "mean score of all candidates scored, stored or not"),
     Metric("curriculum/buffer_age", "updates", "updates done since the policy version that scored the buffer"),
     Metric(
         "curriculum/learnability_now",
@@ -135,7 +135,7 @@ _ALL = (
     Metric("curriculum/level_age", "updates", "since the levels in the buffer were chosen, mean"),
     Metric("curriculum/plays_per_level", "plays", "of a level in training since it was chosen, mean"),
     Metric("curriculum/buffer_is_stale", "0 or 1", "1 when a refresh was lost and the previous buffer is still in use"),
-    Metric("curriculum/filled_share", "share", "of the places of the replay buffer, how many hold a level"),
+    Metric("curriculum/filled_share", "share", "share of the slots of the replay buffer that hold a level"),
     Metric(
         "curriculum/replay_score",
         "that of curriculum.plr.score",
@@ -200,7 +200,7 @@ _ALL = (
         )
     ),
     Metric("runtime/compile_seconds", "s", "compiled since its start by the process that did most, threads added up"),
-    Metric("runtime/save_seconds", "s", "writing and verifying the last checkpoint took, beside training"),
+    Metric("runtime/save_seconds", "s", "writing and verifying the last checkpoint took, in the background"),
     Metric("runtime/queue_length", "batches", "waiting in the work buffer when the learner took one"),
     Metric(
         "runtime/batch_wait_seconds",
@@ -259,7 +259,7 @@ RED: dict[str, tuple[str, str]] = {
         "half of what it was",
         "look at time/* for the role that grew, at runtime/restarts, and at what else runs on the machine",
     ),
-    "physics/unstable": ("above 0", "levels or physics that blow up: see the note on the console"),
+    "physics/unstable": ("above 0", "unstable levels or physics: see the note on the console"),
     "train/episodes": ("0 for long", "rollout.num_steps is far below the length of an episode"),
     "curriculum/learnability": ("near 0", "levels are solved always or never: widen curriculum.generator"),
     "curriculum/buffer_is_stale": ("1 for long", "the curator is lost or hangs: see process_lost in events.jsonl"),
@@ -291,7 +291,7 @@ RED: dict[str, tuple[str, str]] = {
     ),
     "runtime/save_seconds": ("above the time of checkpoint_every updates", "a faster disk, or raise checkpoint_every"),
     "memory/host_share": ("above 0.9", "the kernel may soon kill a process: fewer processes, or what else runs there?"),
-    "memory/gpu_share": ("above 0.98", "another program is on the GPU: run.gpu_memory_gib leaves it room"),
+    "memory/gpu_share": ("above 0.98", "another program is on the GPU: run.gpu_memory_gib leaves memory to it"),
     "memory/pool_share": ("above 0.95", "lower rollout.num_envs, or raise ppo.minibatches, before it runs out"),
     "telemetry/dropped_writes": ("above 0", "the same of curriculum/, evaluations.jsonl and processes.jsonl"),
     "telemetry/dropped_rows": ("above 0", "the disk of the run directory is full or hangs: see sink_failing"),
@@ -308,7 +308,7 @@ def register_metric(metric: Metric) -> None:
 
 
 def describe(name: str) -> Metric:
-    """The description of a metric; raises UnknownMetricError for a name nobody described."""
+    """The description of a metric; raises UnknownMetricError for a name that is not described."""
     if name in METRICS:
         return METRICS[name]
     pattern = re.sub(r"^evaluation/.+/", "evaluation/<set>/", name)  # a set may be a path

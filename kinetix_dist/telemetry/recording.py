@@ -18,7 +18,7 @@ OUTCOMES = ("solved", "failed", "unstable", "out of time", "cut")
 
 
 class RecordedLevel(Protocol):
-    """What replaying needs to know of a level: what exists and who plays which role."""
+    """Level as a replay needs it: bodies, and who plays which role."""
 
     @property
     def scene(self) -> Scene: ...
@@ -91,7 +91,7 @@ class Rollout:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Recording:
-    """What was read from one file: its rollouts, and what was wrong with the file (one line each)."""
+    """Content of one file: its rollouts, and its faults, one line each."""
 
     path: str
     rollouts: tuple[Rollout, ...]

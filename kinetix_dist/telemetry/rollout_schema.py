@@ -38,7 +38,7 @@ _WIRE_LENGTH_DELIMITED, _WIRE_32_BIT = 2, 5
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Sizes:
-    """How many of each a rollout has; fixes the layout of its messages."""
+    """Numbers of bodies, joints and so on of a rollout; they fix the layout of its messages."""
 
     shapes: int
     joints: int

@@ -1,4 +1,4 @@
-"""How large arrays are."""
+"""Size of arrays."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def bytes_of(tree: Any) -> int:
-    """Of all arrays in nested containers."""
+    """Bytes of all arrays in nested containers."""
     import jax
 
     return sum(getattr(leaf, "nbytes", 0) for leaf in jax.tree.leaves(tree))

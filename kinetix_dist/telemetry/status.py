@@ -10,22 +10,21 @@ import time
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from kinetix_dist.telemetry import strict_json
-from kinetix_dist.telemetry.json_lines import replace_file
-from kinetix_dist.telemetry.utc import utc_seconds
+from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.telemetry.json_lines import loads_json, utc_seconds
 
 FORMAT = 1
 STATUS = "status.json"
 RUNNING, FINISHED, STOPPED, FAILED = STATES = ("running", "finished", "stopped", "failed")
-SILENT = "silent"  # what readers call a run that says it is running, and is not heard of
+SILENT = "silent"  # state, for readers, of a run that says it is running and writes nothing more
 SILENT_AFTER_S = 60.0
 SILENT_AFTER_UPDATES = 10
-SILENT_AFTER_OTHERWISE_S = 1800.0
+SILENT_AFTER_OTHER_PHASES_S = 1800.0
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Status:
-    """What status.json holds."""
+    """Content of status.json."""
 
     format: int = FORMAT
     state: str = RUNNING  # of STATES
@@ -56,7 +55,7 @@ def read_status(path: Path) -> Status | None:
     """None where there is no file: an older run, or one that has not started. Raises StatusError, and OSError where it
     cannot be read."""
     try:
-        content = strict_json.loads(path.read_bytes())
+        content = loads_json(path.read_bytes())
     except FileNotFoundError:
         return None
     except ValueError as error:
@@ -97,9 +96,9 @@ def judged(status: Status, now: float | None = None) -> str:
 
 
 def silent_after_seconds(status: Status) -> float:
-    """s without news after which a run that trains may be lost; other phases compile, or play for long."""
+    """Seconds without a new status after which a run may be lost. Phases but training compile, or play for long."""
     if status.phase != "training" or status.update_seconds is None:
-        return SILENT_AFTER_OTHERWISE_S
+        return SILENT_AFTER_OTHER_PHASES_S
     return max(SILENT_AFTER_S, SILENT_AFTER_UPDATES * status.update_seconds)
 
 

@@ -24,13 +24,13 @@ from typing import IO
 
 from kinetix_dist.telemetry.json_lines import Row, parse_line
 
-KEPT_BYTES = 64  # before the place that is read next; compared at every poll
+COMPARED_BYTES = 64  # before the position that is read next; compared at every poll
 MAX_BYTES = 8 << 20  # of one poll: about 7,000 rows of metrics, 0.15 s
 
 
 @dataclasses.dataclass(frozen=True)
 class Tailed:
-    """What a poll found."""
+    """Result of a poll."""
 
     rows: list[Row]  # new ones, in order
     is_restarted: bool  # rows of earlier polls are void: these begin at the start of the file
@@ -49,7 +49,7 @@ class Tail:
     def _start_again(self) -> None:
         self._inode = -1
         self._offset = 0  # all before it was handed out, or counted as damaged
-        self._kept = b""  # the bytes just before the offset
+        self._last_bytes = b""  # the bytes just before the offset
         self._is_after_whole_line = True  # False: the offset is behind an object that has no line end yet
         self._damaged = 0
 
@@ -58,10 +58,15 @@ class Tail:
         """Lines of the file, as far as it was read, that are no rows."""
         return self._damaged
 
-    def go_on(self, *, inode: int, offset: int, kept: bytes, num_damaged: int) -> None:
-        """Goes on behind whole lines that somebody else has read: up to `offset`; `kept` are the last bytes before."""
+    def go_on(self, *, inode: int, offset: int, last_bytes: bytes, num_damaged: int) -> None:
+        """Goes on behind whole lines that another reader has read: up to `offset`; `last_bytes` are those before."""
         self._start_again()
-        self._inode, self._offset, self._kept, self._damaged = inode, offset, kept[-KEPT_BYTES:], num_damaged
+        self._inode, self._offset, self._last_bytes, self._damaged = (
+            inode,
+            offset,
+            last_bytes[-COMPARED_BYTES:],
+            num_damaged,
+        )
 
     def poll(self, max_bytes: int = MAX_BYTES) -> Tailed:
         """New rows. An absent file has none. Raises OSError where it cannot be read; the next poll tries again."""
@@ -82,11 +87,11 @@ class Tail:
     def _is_same(self, file: IO[bytes], status: os.stat_result) -> bool:
         if status.st_ino != self._inode or status.st_size < self._offset:
             return False
-        file.seek(self._offset - len(self._kept))
+        file.seek(self._offset - len(self._last_bytes))
         # Behind an object without a line end nothing but one may follow, or it was no whole line.
-        following = file.read(len(self._kept) + 1)
-        is_ended = self._is_after_whole_line or following[len(self._kept) :] in (b"", b"\n")
-        return following[: len(self._kept)] == self._kept and is_ended
+        following = file.read(len(self._last_bytes) + 1)
+        is_ended = self._is_after_whole_line or following[len(self._last_bytes) :] in (b"", b"\n")
+        return following[: len(self._last_bytes)] == self._last_bytes and is_ended
 
     def _read(self, content: bytes, size: int, is_restarted: bool, max_bytes: int) -> Tailed:
         whole_bytes = content.rfind(b"\n") + 1
@@ -100,7 +105,7 @@ class Tail:
             consumed = len(content)
         if consumed:
             self._is_after_whole_line = consumed == whole_bytes
-            self._kept = (self._kept + content[:consumed])[-KEPT_BYTES:]
+            self._last_bytes = (self._last_bytes + content[:consumed])[-COMPARED_BYTES:]
             self._offset += consumed
         elif len(content) == max_bytes:
             return self._read_long_line(size, is_restarted, max_bytes)

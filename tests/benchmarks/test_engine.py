@@ -15,7 +15,7 @@ from jax2d import JointDrive, JointKind
 from jax2d.effects import EFFECTS, EXTENDED, effects_of
 from kinetix_dist.benchmarks import engine_growth
 from kinetix_dist.benchmarks.effect_cases import ADDED, without
-from kinetix_dist.benchmarks.growth_fit import exponent
+from kinetix_dist.benchmarks.growth_report import exponent
 from kinetix_dist.benchmarks.growth_scenes import SCENES
 from kinetix_dist.cli.main import main
 from kinetix_dist.level.sets import load_level_set
@@ -103,7 +103,7 @@ def test_every_effect_is_measured_with_and_without_its_code(tmp_path: Path) -> N
         "all", "bouncing everywhere", "empty scene", "one falling box", *EFFECTS_OF_LEVELS
     } - {"continuous_collision"}  # fmt: skip
     assert ("all", "specialised") in measured
-    assert {effect for effect, engine in measured if engine == "with room"} == {"all", *ADDED}
+    assert {effect for effect, engine in measured if engine == "larger"} == {"all", *ADDED}
     assert records[0]["relative_to_full"] == 1.0
 
 

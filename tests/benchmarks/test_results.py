@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from kinetix_dist.benchmarks.results import Results
+from kinetix_dist.benchmarks.measuring import Results
 from kinetix_dist.errors import UserError
 
 

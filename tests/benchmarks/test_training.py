@@ -10,7 +10,7 @@ import pytest
 
 from kinetix_dist.benchmarks import curator_refresh, scaling, training_speed
 from kinetix_dist.benchmarks.training_options import shares_of_time, shortened, speeds, with_fields
-from kinetix_dist.benchmarks.training_process import RunFailedError, environment_of, run_in_process
+from kinetix_dist.benchmarks.training_run import RunFailedError, environment_of, run_in_process
 from kinetix_dist.cli.main import main
 from kinetix_dist.config import to_dict
 from kinetix_dist.recipes import RECIPES, recipe

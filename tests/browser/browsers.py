@@ -2,10 +2,10 @@
 
 | kind | program | looked for |
 |---|---|---|
-| `shell` | headless Chromium without the parts of a window: asks for no icon | what `make browser` fetches |
+| `shell` | headless Chromium without the parts of a window: requests no icon | what `make browser` fetches |
 | `full` | Chromium or Chrome as people have it, without its window | KINETIX_FULL_BROWSER, path, Playwright's cache |
 
-Continuous integration has the first. Whoever has the second finds what only people would see.
+Continuous integration has the first. A machine with the second finds what only people would see.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Browser:
 
 
 def found_browsers() -> list[Browser]:
-    """One of each kind at most."""
+    """Installed browsers, one of each kind at most."""
     found = []
     if (FETCHED / "chromium").is_file():  # with its own libraries and fonts, for machines that have none
         own = (("LD_LIBRARY_PATH", str(FETCHED / "lib")), ("FONTCONFIG_PATH", str(FETCHED)))

@@ -1,4 +1,4 @@
-"""Browsers without a window, real runs, and pages that may neither complain nor ask anybody but their server.
+"""Browsers without a window, real runs, and pages that may neither complain nor connect to anything but their server.
 
 Tests run once in each kind of browser that is found (browsers.py). Without one they are skipped, unless
 KINETIX_BROWSER_TESTS=required (continuous integration).
@@ -61,7 +61,7 @@ def serve() -> Iterator[Callable[..., Server]]:
 @pytest.fixture
 def open_page(browser: Any, serve: Any) -> Iterator[Callable[..., Any]]:
     """open_page(server, "#/runs", width=...): a page with access. At the end no page of the test may have complained,
-    or asked another origin than its server."""
+    or connected to another origin than its server."""
     opened, complaints = [], []
 
     def open_one(server: Server, view: str = "#/runs", **options: Any) -> Any:
@@ -73,7 +73,7 @@ def open_page(browser: Any, serve: Any) -> Iterator[Callable[..., Any]]:
         allowed = (origin, origin.replace("http", "ws"), "blob:", "data:")
         page.on("console", lambda message: message.type in ("error", "warning") and complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("request", lambda r: r.url.startswith(allowed) or complaints.append(f"asked {r.url}"))
+        page.on("request", lambda r: r.url.startswith(allowed) or complaints.append(f"requested {r.url}"))
         page.goto(server.address)
         page.wait_for_selector("nav")
         page.goto(origin + view)

@@ -2,7 +2,7 @@
 
     python -m tests.browser.proxy PREFIX UPSTREAM_PORT [--keep-host]      prints its port
 
-It strips the prefix and sets `Host` to the server's, as proxies do that are not told otherwise; --keep-host leaves it.
+It strips the prefix and sets `Host` to the server's, as proxies do by default; --keep-host leaves it.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ async def main(prefix: str, upstream: str, keeps_host: bool) -> None:
             async with session.request(
                 request.method, f"http://{upstream}{path}", headers=headers, data=body, allow_redirects=False
             ) as found:
-                kept = [(n, v) for n, v in found.headers.items() if n.lower() not in HOP_BY_HOP - {"content-encoding"}]
-                return web.Response(status=found.status, headers=kept, body=await found.read())
+                headers = [
+                    (n, v) for n, v in found.headers.items() if n.lower() not in HOP_BY_HOP - {"content-encoding"}
+                ]
+                return web.Response(status=found.status, headers=headers, body=await found.read())
 
         async def relay(request: web.Request, address: str, headers: dict[str, str]) -> web.WebSocketResponse:
             page = web.WebSocketResponse(max_msg_size=0)

@@ -79,7 +79,7 @@ class Bench:
             entry.press("Enter")
 
     def checked(self) -> str:
-        """What the validator says of the level as it is now."""
+        """Result of the validator for the level as it is now."""
         self.drawn()
         self.page.wait_for_selector("[data-panel=problems][data-checked=true]")
         return self.page.locator("[data-panel=problems]").inner_text()
@@ -126,7 +126,7 @@ def test_a_level_is_built_by_mouse_solved_by_keys_and_saved(editing: Callable[..
     page = bench.page
     assert "green" in bench.checked()  # a level needs one green and one blue shape
     build_car(bench)
-    page.locator("[data-panel=things]").get_by_text("revolute").first.click()
+    page.locator("[data-panel=elements]").get_by_text("revolute").first.click()
     said = "Forward (→) rolls the wheel to the right. With the wheel as b, negative speeds roll to the right."
     page.locator("[data-forward]", has_text=said).wait_for()
     page.get_by_label("the level").press("Escape")
@@ -145,7 +145,7 @@ def test_a_level_is_built_by_mouse_solved_by_keys_and_saved(editing: Callable[..
 
 
 def test_a_level_is_built_while_pictures_come_late(editing: Callable[..., Any], tmp_path: Path) -> None:
-    """As on a busy machine: whoever is faster than the page changes what is selected, not what was."""
+    """Simulates a busy machine: a person who is faster than the page changes what is selected, not what was."""
     bench, _ = editing(tmp_path / "mine.json")
     bench.page.context.add_init_script(LATE_PICTURES)
     bench.page.reload()
@@ -157,7 +157,7 @@ def test_a_level_is_built_while_pictures_come_late(editing: Callable[..., Any], 
 
 
 def test_a_level_that_comes_late_replaces_nothing_that_was_done(editing: Callable[..., Any], tmp_path: Path) -> None:
-    """Nobody can draw, and no draft can be brought back, before the level is here that the command line named."""
+    """Drawing and drafts wait for the level that the command line named."""
     bench, server = editing(tmp_path / "mine.json")
     page = bench.page
     page.context.add_init_script(LATE_FILES)
@@ -238,7 +238,7 @@ def test_every_designed_level_is_opened_and_saved_unchanged(editing: Callable[..
 def test_every_public_level_is_opened_and_saved_as_the_same_level(
     editing: Callable[..., Any], tmp_path: Path, public_levels: Path
 ) -> None:
-    """As what `kinetix-dist levels import` makes of it."""
+    """Compares with the result of `kinetix-dist levels import`."""
     bench, _ = editing(tmp_path)
     files = sorted(public_levels.rglob("*.json"))
     for k, file in enumerate(files):
@@ -259,7 +259,7 @@ def test_every_public_level_is_opened_and_saved_as_the_same_level(
 
 
 def test_tools_by_touch(editing: Callable[..., Any], tmp_path: Path) -> None:
-    """On a phone: taps, drags and two fingers, as Chromium sends them."""
+    """Taps, drags and two fingers on a phone, as Chromium sends them."""
     size = {"width": 390, "height": 844}
     bench, _ = editing(tmp_path / "touched.json", viewport=size, has_touch=True, device_scale_factor=2)
     page = bench.page
@@ -290,7 +290,7 @@ def test_tools_by_touch(editing: Callable[..., Any], tmp_path: Path) -> None:
     bench.use("Thruster")
     stroke((1.2, 1.2), (1.2, 2.2))
     bench.use("Select")
-    stroke((3.2, 2.13), (3.4, 2.4), (3.7, 2.63))  # beside the joint, which lies on top
+    stroke((3.2, 2.13), (3.4, 2.4), (3.7, 2.63))  # next to the joint, which lies on top
     metres = "async () => document.querySelector('.editor-canvas').getBoundingClientRect().width"
     assert page.evaluate(metres) <= 390
     bench.save("touched.json")
@@ -350,7 +350,7 @@ def test_what_is_wrong_leads_to_its_shape_and_nothing_is_lost(editing: Callable[
     page.get_by_text("hop.json is gone; nothing was saved").wait_for()
     page.get_by_role("button", name="save it anew").click()
     page.get_by_text("saved to hop.json").wait_for()
-    assert [text.split("status of ")[1][:3] for text in page.complaints] == ["412", "412"]  # Chromium tells of it too
+    assert [text.split("status of ")[1][:3] for text in page.complaints] == ["412", "412"]  # Chromium reports it too
     page.complaints.clear()
     assert {shape["id"] for shape in json.loads(file.read_text())["shapes"]} >= {"box_1"}
 

@@ -50,18 +50,18 @@ def test_handles_of_joints_and_equal_gaps(editing: Callable[..., Any], tmp_path:
         box(5, 0.5, 0.3, 0.2), box(6, 1.1, 0.3, 0.6), box(7, 2.5, 0.3, 0.4, role="blue", fixed=True),
     ]  # fmt: skip
     slider = {"type": "prismatic", "a": "box_1", "b": "box_2", "anchor": [2.4, 2.0], "axis": 0, "limits": [-0.3, 0.3]}
-    hinge = {"type": "revolute", "a": "box_3", "b": "box_4", "anchor": [1.3, 4.0]}
-    file.write_text(json.dumps(level_of(shapes, joints=[slider, hinge])))
+    joint = {"type": "revolute", "a": "box_3", "b": "box_4", "anchor": [1.3, 4.0]}
+    file.write_text(json.dumps(level_of(shapes, joints=[slider, joint])))
     bench, _ = editing(file)
-    things = bench.page.locator(".things")
-    things.get_by_role("button", name="prismatic", exact=False).click()
+    elements = bench.page.locator(".elements")
+    elements.get_by_role("button", name="prismatic", exact=False).click()
     bench.drag((2.95, 2.0), (2.4, 2.55))  # the axis, its handle 0.55 m from the anchor, to straight up
     bench.drag((2.4, 2.3), (2.4, 2.72))  # the upper limit: 0.7 on the grid
-    things.get_by_role("button", name="revolute", exact=False).click()
-    # b is to the right of the hinge, 0.5 rad behind a; the handle of the rest angle goes from 0 to 90 degrees.
+    elements.get_by_role("button", name="revolute", exact=False).click()
+    # b is to the right of the joint, 0.5 rad behind a; the handle of the rest angle goes from 0 to 90 degrees.
     bench.drag((1.52, 4.0), (1.3, 4.22))
     for number, option in ((5, {}), (6, {"modifiers": ["Shift"]}), (7, {"modifiers": ["Shift"]})):
-        things.get_by_role("button", name=f"box_{number}", exact=False).click(**option)
+        elements.get_by_role("button", name=f"box_{number}", exact=False).click(**option)
     bench.page.get_by_label("the level").press("Alt+h")
     bench.save("made.json")
     saved = json.loads(file.read_text())

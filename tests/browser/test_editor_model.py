@@ -16,7 +16,7 @@ from jax2d.display_list import display_list
 from kinetix_dist.level.document import dump_document, level_to_json
 from kinetix_dist.level.schema import document_info, level_from_json, turned_colours_of
 from kinetix_dist.level.sets import files_of_set
-from kinetix_dist.studio.worker.hello import hello
+from kinetix_dist.studio.worker.service import hello
 from tests.helpers import REPOSITORY
 from tests.studio.serving import Server, serving
 

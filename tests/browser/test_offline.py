@@ -1,4 +1,4 @@
-"""All pages, play, attempts and rerun once more on a machine without a network: in a network namespace of its own that
+"""Pages, play, attempts and rerun once more on a machine without a network: in a network namespace of its own that
 has loopback alone."""
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def test_all_of_it_without_a_network(trained: Path) -> None:
         pytest.skip("there is no unshare here")
     options = ["--net"] if os.geteuid() == 0 else ["--net", "--map-root-user"]
     if subprocess.run([unshare, *options, "true"], capture_output=True, check=False).returncode:
-        pytest.skip("this machine lets nobody make a network namespace")
+        pytest.skip("this machine allows no network namespace")
     done = subprocess.run(
         [unshare, *options, sys.executable, "-c", INSIDE, *VISITED],
         cwd=REPOSITORY,

@@ -62,7 +62,7 @@ def panel(page: Any, title: str) -> Any:
 
 
 def box_of(page: Any, locator: Any) -> dict[str, float]:
-    """Where an element is, once it is there: one that is just made again is nowhere."""
+    """Box of an element, once it exists: one that is just made again has none."""
     deadline = time.monotonic() + PATIENCE_S
     while (box := locator.bounding_box()) is None:
         assert time.monotonic() < deadline, f"{locator} is nowhere"
@@ -71,7 +71,7 @@ def box_of(page: Any, locator: Any) -> dict[str, float]:
 
 
 def wait_for_drawn(page: Any, title: str, selector: str = "canvas") -> None:
-    """Until the first canvas of a panel is more than blank."""
+    """Waits until the first canvas of a panel is not blank."""
     canvas = panel(page, title).locator(selector).first
     canvas.wait_for()
     deadline = time.monotonic() + PATIENCE_S
@@ -111,7 +111,7 @@ def test_from_the_list_to_every_page_of_a_real_run(trained_server: Server, open_
 
 
 def test_pages_fill_while_a_run_trains(tmp_path: Path, open_page: OpenPage, serve: Serve) -> None:
-    """From before its first update on, without reloading; it trains on when all was looked at."""
+    """Pages fill from before the first update on, without reloading; training goes on afterwards."""
     run = tmp_path / "tiny"
     command = [
         sys.executable, "-m", "kinetix_dist.cli.main", "train", "--recipe", "tiny", "--run", str(run),
@@ -151,14 +151,14 @@ def test_levels_are_pictures_and_one_of_them_opens(trained_server: Server, open_
 
 
 def test_what_links_no_icon_has_one_too(trained_server: Server, open_page: OpenPage) -> None:
-    """A browser with a window then asks for /favicon.ico, and complains where there is none (`open_page` hears it)."""
+    """Browsers with a window then request /favicon.ico, and complain where there is none (`open_page` collects it)."""
     page = open_page(trained_server)
     page.goto(f"http://127.0.0.1:{trained_server.port}/api/runs")
     page.wait_for_timeout(1000)
 
 
 def test_a_level_of_the_buffer_is_played_in_place(trained_server: Server, open_page: OpenPage) -> None:
-    """By the checkpoint of its run, by keys, 64 times; and what became of it."""
+    """Plays a level by the checkpoint of its run, by keys and 64 times; and shows its history."""
     page = open_page(trained_server, "#/run/tiny/levels")
     page.locator(".thumbnail").nth(2).click()
     drawer = panel(page, "level")

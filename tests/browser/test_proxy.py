@@ -20,7 +20,7 @@ PREFIX = "/kinetix/pages"
 
 @dataclasses.dataclass(frozen=True)
 class Proxied:
-    """What a browser knows of the server: the proxy's address."""
+    """Server behind a proxy, by the proxy's address."""
 
     port: int
     address: str

@@ -25,8 +25,9 @@ def test_a_rollout_is_shown_by_rerun(server: Server, browser: Any) -> None:
     context = browser.new_context(viewport={"width": 1600, "height": 1500}, locale="en-US")
     context.set_default_timeout(2 * TIMEOUT_MS)
     page = context.new_page()
-    answered = []
+    answered, requested = [], []
     page.on("response", lambda response: answered.append((response.url, response.status)))
+    page.on("request", lambda request: requested.append(request.url))
     page.goto(server.address)
     page.wait_for_selector("nav")
     page.goto(f"http://127.0.0.1:{server.port}/#/run/tiny/replays")
@@ -44,16 +45,16 @@ def test_a_rollout_is_shown_by_rerun(server: Server, browser: Any) -> None:
 
     wait_for(has_green_and_blue)
     own = f"http://127.0.0.1:{server.port}/"
-    assert all(url.startswith((own, "blob:", "data:")) for url, _ in answered), "nobody else has answered"
+    assert all(url.startswith((own, "blob:", "data:")) for url in requested), "no other host is requested"
     rrd = next(url for url, _ in answered if "/rrd/" in url)
     context.close()
-    # The .rrd needs its ticket, and no cookie.
+    # The .rrd needs its signature, and no cookie.
     path = "/" + rrd.removeprefix(own)
-    assert server.ask(path, headers={"Cookie": ""})[0] == 200
-    _, _, ticket, name = path.split("/")
-    assert server.ask(f"/rrd/{ticket}0/{name}", headers={"Cookie": ""})[0] == 403
-    assert server.ask(f"/rrd/{ticket}/other.rrd")[0] == 403
-    assert server.ask("/rerun/index.html", headers={"Cookie": ""})[0] == 401
-    assert server.ask("/rerun/..%2Fx")[0] == 404
+    assert server.request(path, headers={"Cookie": ""})[0] == 200
+    _, _, signature, name = path.split("/")
+    assert server.request(f"/rrd/{signature}0/{name}", headers={"Cookie": ""})[0] == 403
+    assert server.request(f"/rrd/{signature}/other.rrd")[0] == 403
+    assert server.request("/rerun/index.html", headers={"Cookie": ""})[0] == 401
+    assert server.request("/rerun/..%2Fx")[0] == 404
     names = [" ".join(child.cmdline()) for child in psutil.Process(server.process.pid).children(recursive=True)]
     assert not [name for name in names if "rerun" in name], "the process that handed out its files is gone"

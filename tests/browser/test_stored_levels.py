@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.studio.worker import frames
-from kinetix_dist.studio.worker.actors import env_of
 from kinetix_dist.studio.worker.levels import level_of
+from kinetix_dist.studio.worker.request import env_of
 from kinetix_dist.studio.worker.session import Session
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, list_snapshots
 from tests.studio.serving import Server

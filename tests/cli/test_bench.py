@@ -35,8 +35,6 @@ def test_engine_alone_is_its_speed() -> None:
         ("--json out.json", "stands first, not --json"),
         ("scalign", "did you mean 'scaling'?"),
         ("engine spede", "did you mean 'engine speed'?"),
-        ("engine --effects", "kinetix-dist bench engine effects"),
-        ("engine --sizes s --growth", "kinetix-dist bench engine growth"),
         ("engine --steps 3", "--steps is 3"),
         ("engine --repeats 2", "--repeats is 2"),
         ("engine --worlds 0", "--worlds has 0"),

@@ -129,7 +129,7 @@ def test_what_was_played_can_be_recorded(
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """What an evaluation that must not start says: one line, exit status 2."""
+    """Line of an evaluation that must not start; its exit status is 2."""
     assert main(["eval", *arguments]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1

@@ -16,9 +16,9 @@ from kinetix_dist.curator.teacher import Teacher
 from kinetix_dist.curator.teacher_levels import PARAMS_PREFIX
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.level.simulation import noop_solved
 from kinetix_dist.runtime.cores.curriculum_state import PpoAgents
 from tests.runtime.runs import tiny_config
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, select_arrays
-from kinetix_dist.checkpoint.safetensors_file import read_safetensors
+from kinetix_dist.checkpoint.arrays import read_safetensors
 from kinetix_dist.cli.main import main
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX

@@ -11,7 +11,7 @@ import pytest
 from jax2d.scene import Capacity
 from kinetix_dist.cli.main import main
 from kinetix_dist.level.kinetix_format import export_kinetix
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import level_from_json
 from kinetix_dist.level.sets import files_of_set
 from tests.level.documents import cart_document

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from kinetix_dist.cli.errors import UserError, one_line, user_errors
 from kinetix_dist.cli.main import COMMANDS, main
+from kinetix_dist.errors import UserError, one_line, user_errors
 from tests.helpers import REPOSITORY
 
 

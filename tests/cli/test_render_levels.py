@@ -10,7 +10,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from kinetix_dist.cli.main import main
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import read_proof
 
 GREEN, BLUE = (70, 178, 98), (58, 118, 224)  # jax2d.palette.ROLE_PALETTE

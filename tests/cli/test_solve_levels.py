@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from kinetix_dist.cli.main import main
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from tests.level.documents import cart_document
 
 

@@ -9,8 +9,7 @@ import sys
 
 import pytest
 
-from kinetix_dist.cli.last_words import say
-from kinetix_dist.cli.streams import _for_any_reader
+from kinetix_dist.cli.streams import _for_any_reader, say
 from tests.cli.test_main import run_command
 from tests.helpers import PATIENCE_S, REPOSITORY
 
@@ -25,7 +24,7 @@ def _pipe_without_reader():
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_reader_that_leaves_early_is_no_failure(unbuffered):
-    """As in `kinetix-dist levels list | head -1`."""
+    """Pipes like `kinetix-dist levels list | head -1` close early."""
     writes = _pipe_without_reader()
     environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     done = subprocess.run(

@@ -15,8 +15,7 @@ from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.paired import PairedSummary
 from kinetix_dist.curator.students import TwoStudents, in_groups, worlds_of
 from kinetix_dist.learner.sharding import data_mesh, replicate
-from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import SIZES, Role
 from kinetix_dist.messages import Trajectory
 from kinetix_dist.runtime.cores.curriculum_state import PpoAgents
 from tests.curator.made import curriculum_of

@@ -28,8 +28,8 @@ LAYERS = (
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("child_python", "jax_arithmetic", "jax_settings", "prng", "registry", "text_files", "user_directories"),
-    ("engine_package", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings"),
+    ("child_python", "jax_checks", "prng", "program_cache", "registry", "text_files", "user_directories"),
+    ("atomic_files", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Subpackages of packages that have them, and which of the others each may import.

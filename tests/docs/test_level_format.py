@@ -10,7 +10,7 @@ from typing import Any
 
 from kinetix_dist.level.generator import GeneratorConfig
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import level_from_json
 from tests.helpers import REPOSITORY
 

@@ -6,7 +6,7 @@ import json
 
 from kinetix_dist.evaluation.search.solve import METHODS
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import proof_path, read_proof
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import files_of_set

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from kinetix_dist.checkpoint.pretrained import pretrained_names
+from kinetix_dist.checkpoint.store import pretrained_names
 from kinetix_dist.cli.main import COMMANDS, parse_args
 from tests.helpers import REPOSITORY
 

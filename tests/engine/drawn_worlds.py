@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jax2d import Capacity, SceneBuilder
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import load_level
 
 LEVELS = ("s/swing_up", "m/lift", "m/rocket_car", "l/walker", "l/lunar_lander", "l/gears", "l/grasp")

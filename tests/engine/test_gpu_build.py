@@ -11,8 +11,8 @@ from jax2d import Capacity, Effects, preset
 from jax2d.settings import Settings
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.variant import KernelVariant
-from kinetix_dist.level.effects import level_effects
 from kinetix_dist.level.level import SIZES
+from kinetix_dist.level.simulation import level_effects
 
 EVERYTHING = Capacity(polygons=3, circles=2, joints=2, thrusters=1, springs=2, extended_shapes=True)
 

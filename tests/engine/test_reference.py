@@ -25,8 +25,7 @@ from jax2d import (
     touch_matrix,
 )
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
-from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import SIZES, Level, Role
 
 OPTIMISED = True  # steps by the hundred: see tests/conftest.py
 

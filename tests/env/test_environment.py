@@ -16,10 +16,9 @@ from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.noop import noop_solved
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.noop import NOOP_STEPS
-from kinetix_dist.level.noop import noop_solved as noop_solved_of_levels
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import SIZES, Level, Role
+from kinetix_dist.level.simulation import NOOP_STEPS
+from kinetix_dist.level.simulation import noop_solved as noop_solved_of_levels
 from tests.env.worlds import BOX, DISC_1, DISC_2, HALF_BOX_M, RADIUS_M, THRUSTER, batch, small_level
 from tests.helpers import REPOSITORY, environment_of_cpus
 

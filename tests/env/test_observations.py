@@ -27,11 +27,10 @@ from kinetix_dist.env.observations.entities import (
 from kinetix_dist.env.observations.flat import flat_size, flatten
 from kinetix_dist.env.observations.observation import Moving
 from kinetix_dist.level.canonical import swap_ends
-from kinetix_dist.level.connections import connections
+from kinetix_dist.level.derive import connections
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, SIZES, Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, SIZES, Level, Role
 from tests.env.worlds import BOX, DISC_1, DISC_2, MOTOR_JOINT, RADIUS_M, THRUSTER, batch, small_level
 
 

@@ -17,8 +17,7 @@ from kinetix_dist.env.device_memory import DeviceMemoryError
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.env.observations.pixels import FAR_M, PIXELS, PixelStatic, picture, static_picture
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Level, Role
 from kinetix_dist.level.sets import load_level_set
 from tests.env.worlds import BOX, DISC_1, DISC_2, MOTOR_JOINT, THRUSTER, batch, small_level
 

@@ -8,7 +8,7 @@ import pytest
 
 from jax2d.scene import pack_bits, touch_matrix
 from kinetix_dist.env.reward import Outcome, goal_distance, judge, reward_of, role_masks
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Role
 
 ROLES = jnp.array([[Role.NONE, Role.GREEN, Role.BLUE, Role.RED]])
 ACTIVE = jnp.ones((1, 4), bool)

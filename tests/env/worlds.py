@@ -9,8 +9,7 @@ import numpy as np
 
 from jax2d.fields import empty, with_fields
 from jax2d.scene import Scene, stack_worlds
-from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Level, Role
 
 BOX, DISC_1, DISC_2 = 4, 5, 6  # shape indices in a level of size S
 HALF_BOX_M = 0.25

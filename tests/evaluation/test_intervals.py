@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kinetix_dist.evaluation.intervals import Z_95, for_readers, interval_over_levels, wilson_interval
+from kinetix_dist.level.level_data import base_levels, variant_name
 from kinetix_dist.level.variants import NUM_VARIANTS
-from kinetix_dist.level.varied_sets import base_levels, variant_name
 
 
 def test_interval_of_81_in_263_is_the_published_one() -> None:

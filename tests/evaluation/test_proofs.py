@@ -12,7 +12,7 @@ import pytest
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.evaluation.proofs import fault_of_replay, replay
 from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import Proof, check_proof_is_of, proof_path, read_proof
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import files_of_set

@@ -15,7 +15,7 @@ from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import decode_level, encode_level, read_rollouts, record_rollouts
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.telemetry.sinks.mcap import McapSink

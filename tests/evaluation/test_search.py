@@ -15,7 +15,7 @@ from kinetix_dist.evaluation.search.random_search import MAX_HOLD, held_choices
 from kinetix_dist.evaluation.search.solve import METHODS, Solved, solve
 from kinetix_dist.evaluation.search.worlds import Budget, Worlds, useful_actions
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import read_proof
 from kinetix_dist.level.schema import level_from_json
 from kinetix_dist.level.validate import read_document

@@ -15,7 +15,7 @@ from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX
 from kinetix_dist.finetune.specialists import Specialists
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.cores.curriculum_state import some_observation
@@ -37,7 +37,7 @@ def level_directory(folder: Path) -> Path:
 
 
 def config_of(levels: Path, **sections) -> TrainConfig:
-    """What OPTIONS say."""
+    """Configuration of OPTIONS."""
     config = recipe("tiny")
     return dataclasses.replace(
         config,

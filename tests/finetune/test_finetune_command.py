@@ -27,7 +27,7 @@ def levels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def policy(levels: Path) -> Path:
-    """Of the network and environment of `tiny`, trained on levels of size M."""
+    """Policy of the network and environment of `tiny`, trained on levels of size M."""
     config = config_of(levels)
     config = dataclasses.replace(config, env=dataclasses.replace(config.env, size="m"))
     return write_policy(levels.parent / "policy", config)
@@ -35,7 +35,7 @@ def policy(levels: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def flat_policy(levels: Path) -> Path:
-    """Of a network that plays levels of size S only."""
+    """Policy of a network that plays levels of size S only."""
     policy = PolicyConfig(network="flat", flat_size=8, hidden_size=8, hidden_layers=1)
     env = EnvConfig(observation="flat", max_steps=16)
     return write_policy(levels.parent / "flat", config_of(levels, env=env, policy=policy))

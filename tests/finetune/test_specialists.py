@@ -37,7 +37,7 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def specialists(directory: Path) -> dict[str, Specialist]:
-    """By level, and "again": the first level after the others."""
+    """Specialists by level, and "again": the first level after the others."""
     trainer = shared_specialists(config_of(directory))
     levels = {name: load_level_set(str(directory / f"{name}.json"), "s")[0] for name in NAMES}
     trainer.compile(levels[NAMES[0]], None)

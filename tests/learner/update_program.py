@@ -23,10 +23,9 @@ from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_ob
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
-from kinetix_dist.learner.exported_update import exported_update
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, spread_worlds
 from kinetix_dist.learner.state import LearnerState
-from kinetix_dist.learner.update import Update, make_update
+from kinetix_dist.learner.update import Update, exported_update, make_update
 from kinetix_dist.messages import StaticInput
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 

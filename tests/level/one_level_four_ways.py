@@ -22,9 +22,8 @@ from kinetix_dist.level.draft import (
     write_slot,
 )
 from kinetix_dist.level.kinetix_format import import_kinetix
-from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.level import SIZES, Level, Role
 from kinetix_dist.level.proposals import box_or_triangle
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.schema import level_from_json
 from kinetix_dist.level.walls import WALL_CENTRES_M, WALL_HALF_EXTENTS_M, empty_level, pad_vertices
 

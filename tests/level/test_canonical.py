@@ -23,7 +23,7 @@ from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
 from kinetix_dist.level.kinetix_format import export_kinetix, import_kinetix
 from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import level_as_written, level_from_json, level_to_json, turned_colours_of
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.level.walls import WALL_NAMES, empty_level
@@ -34,7 +34,7 @@ NUM_LEVELS = 24  # of the generator, each relabelled once
 
 
 def observe_start(levels: Level) -> EntityObs:
-    """Of a batch."""
+    """Observations of a batch at the start."""
     n = levels.angle.shape[1]
     untouched = jnp.zeros((levels.angle.shape[0], n, (n + 31) // 32), jnp.uint32)
     fields = {name: getattr(levels, name) for name in ("position", "angle", "velocity", "angular_velocity")}
@@ -221,7 +221,7 @@ def test_a_wheel_that_a_file_calls_a_is_one_too() -> None:
 
 
 def test_a_colour_with_a_motor_of_another_drive_is_left_alone() -> None:
-    """What a servo does by forward and by backward is not for a sign to say."""
+    """Forward and backward of a servo do not follow from a sign."""
     level = level_from_json(vehicle(motor(1.0), motor(2.0)))
     backward = level.scene.replace(joints={"motor_speed": -level.scene.joints.motor_speed})
     assert turned_colours(dataclasses.replace(level, scene=backward), fixed(level)).any()

@@ -28,15 +28,14 @@ from kinetix_dist.level.construction import (
 )
 from kinetix_dist.level.document import level_to_json
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_WALLS, SIZES
+from kinetix_dist.level.level import NUM_WALLS, SIZES, Role
 from kinetix_dist.level.overlap import separation, world_corners
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.schema import level_from_json
 from tests.level.valid import assert_valid
 
 CONFIG = GeneratorConfig()
 NUM_LEVELS = 192
-# Logits that a teacher may come to have: none, one thing again and again, the last or the first choice that is allowed.
+# Logits that a teacher may come to have: none, one choice again and again, the last or the first allowed choice.
 TASTES = {
     "any": lambda head, choices: 0.0 * jnp.arange(choices),
     "joints": lambda head, choices: 9.0 * ((head == "what") & (jnp.arange(choices) // 2 * 2 + 1 == What.JOINED_BOX)),
@@ -113,7 +112,7 @@ def test_every_level_has_something_to_control(case):
 
 
 def test_no_two_bodies_overlap_at_the_start(case):
-    """By the separating axes of all pairs, walls included."""
+    """Separating axes of all pairs, walls included."""
     _, building, _ = built(*case)
     shapes = building.draft.shapes
     corners = world_corners(shapes.position, shapes.angle, shapes.vertices)

@@ -10,9 +10,8 @@ import pytest
 from jax2d.scene import Capacity
 from kinetix_dist.level.derive import touch_permissions
 from kinetix_dist.level.fit import LevelSizeError, capacity_of, fit_level, smallest_size, usage
-from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.roles import Role
-from kinetix_dist.level.roles import Role as EnvRole
+from kinetix_dist.level.level import SIZES, Role
+from kinetix_dist.level.level import Role as EnvRole
 from kinetix_dist.level.schema import level_from_json
 from kinetix_dist.level.walls import FLOOR_TOP_M, empty_level
 from tests.level.documents import cart_document

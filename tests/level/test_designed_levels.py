@@ -10,8 +10,8 @@ import pytest
 from jax2d.scene import stack_worlds
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.overlap import separation, world_corners
-from kinetix_dist.level.paths import levels_root
 from kinetix_dist.level.proof import level_hash
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import files_of_set

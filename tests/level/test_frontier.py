@@ -12,7 +12,7 @@ import pytest
 from bench.frontier_sets import main
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.level.frontier import read_frontier_sets, stream_levels
-from kinetix_dist.level.paths import LEVELS_VARIABLE
+from kinetix_dist.level.level_data import LEVELS_VARIABLE
 from kinetix_dist.level.sets import files_of_set, load_level_set
 from tests.cli.test_eval_command import TINY_POLICY, save_run
 from tests.helpers import REPOSITORY

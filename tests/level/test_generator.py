@@ -13,11 +13,15 @@ import pytest
 from jax2d import JointKind
 from jax2d.checks import check_scene
 from jax2d.scene import Capacity
-from kinetix_dist.level.filters import generate_filtered, keep_unsolved
-from kinetix_dist.level.generator import GeneratorConfig, generate_level, generate_levels
-from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
+from kinetix_dist.level.generator import (
+    GeneratorConfig,
+    generate_filtered,
+    generate_level,
+    generate_levels,
+    keep_unsolved,
+)
+from kinetix_dist.level.level import NUM_WALLS, SIZES, Level, Role
 from kinetix_dist.level.overlap import separation, world_corners
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import empty_level
 
 NUM_LEVELS = 512

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -17,7 +17,6 @@ from kinetix_dist.level.generator import generate_levels, level_keys
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.generator_program import draw_levels
 from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.telemetry import exported_program
 from tests.helpers import compile_cache
 
 CONFIG = GeneratorConfig(mechanism_share=0.5, mechanism_families=("arm",), varied_share=0.5)
@@ -29,7 +28,7 @@ KEY = jax.random.key(7)
 def cache(tmp_path: Path) -> Iterator[Path]:
     generator_program._program.cache_clear()
     with compile_cache(tmp_path):
-        yield tmp_path / generator_program.KIND
+        yield tmp_path / generator_program.CACHE
     generator_program._program.cache_clear()
 
 
@@ -76,19 +75,15 @@ def test_it_is_traced_once_where_devices_share_worlds_and_read_by_the_next_proce
     assert len(traced) == 2 and file.read_bytes() == content
 
 
-def test_another_generator_and_other_modules_are_another_program(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_generator_is_another_program(cache: Path) -> None:
     keys = level_keys(KEY, 2)
     draw_levels(keys, CAPACITY, GeneratorConfig())
     draw_levels(keys, CAPACITY, dataclasses.replace(GeneratorConfig(), triangle_chance=0.5))
     assert len(list(cache.iterdir())) == 2
-    generator_program._program.cache_clear()
-    monkeypatch.setattr(exported_program, "_SOURCES", "of a module that was changed")
-    draw_levels(keys, CAPACITY, GeneratorConfig())
-    assert len(list(cache.iterdir())) == 3
 
 
 def test_another_setting_of_jax_is_another_program_that_draws_the_same_levels(cache: Path) -> None:
-    """Also where a context manager sets it: the program is traced in a thread, which does not inherit that."""
+    """A context manager may set it, too: the program is traced in a thread, which does not inherit that."""
     keys, config = level_keys(KEY, 4), GeneratorConfig()
     with jax.threefry_partitionable(False):
         other = draw_levels(keys, CAPACITY, config)
@@ -98,20 +93,3 @@ def test_another_setting_of_jax_is_another_program_that_draws_the_same_levels(ca
     with jax.enable_x64(True):
         draw_levels(keys, CAPACITY, config)
     assert len(list(cache.iterdir())) == 3
-
-
-def test_a_module_that_changes_while_a_process_runs_does_not_give_its_program_another_name(
-    cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Or the program of the old module would be read by whoever has the new one."""
-    keys = level_keys(KEY, 2)
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "read_bytes", _changed(Path.read_bytes))
-        draw_levels(keys, CAPACITY, GeneratorConfig())
-    generator_program._program.cache_clear()
-    draw_levels(keys, CAPACITY, GeneratorConfig())
-    assert len(list(cache.iterdir())) == 1
-
-
-def _changed(read: Callable[[Path], bytes]) -> Callable[[Path], bytes]:
-    return lambda path: read(path) + (b"# changed" if path.suffix == ".py" else b"")

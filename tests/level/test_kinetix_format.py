@@ -119,7 +119,8 @@ def test_our_levels_go_out_and_come_back() -> None:
 
 
 def compacted(level: Level) -> dict[str, np.ndarray]:
-    """What an importer must keep of a level: of active shapes, joints and thrusters alone, slots counted among them."""
+    """The part of a level that an importer must preserve: active shapes, joints and thrusters, slots counted among
+    them."""
     scene = level.scene
     polygons, active = len(scene.shapes.num_vertices), scene.shapes.active
     rank = np.cumsum(active) - 1

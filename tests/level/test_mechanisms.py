@@ -13,12 +13,11 @@ import pytest
 from jax2d.scene import Capacity, JointKind
 from kinetix_dist.level.generator import generate_level, generate_levels
 from kinetix_dist.level.generator_config import TASK_FAMILIES, GeneratorConfig, generator
-from kinetix_dist.level.level import NUM_WALLS, SIZES, WORLD_SIZE_M, Level
+from kinetix_dist.level.level import NUM_WALLS, SIZES, WORLD_SIZE_M, Level, Role
 from kinetix_dist.level.mechanisms import families, mechanism_draft
 from kinetix_dist.level.mechanisms.template import Draws, draw_numbers
-from kinetix_dist.level.noop import noop_solved
 from kinetix_dist.level.overlap import world_corners
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.simulation import noop_solved
 from kinetix_dist.level.statistics import overlaps
 from kinetix_dist.level.walls import FLOOR_TOP_M
 from tests.level.valid import assert_valid
@@ -488,7 +487,7 @@ def test_a_flipper_has_its_red_wheel_beside_the_goal_and_thrusters_that_lift_an_
     ],
 )
 def test_the_motors_of_a_key_are_those_they_were(family: str, speeds: float, powers: float, colours: int) -> None:
-    """At f7c3bc8: figures in documents are of these levels. Sums over the first 16."""
+    """Sums over the first 16 levels, at f7c3bc8: figures in documents are of these levels."""
     levels = levels_of("l", family)
     joints = levels.scene.joints
     active = joints.active[:16]
@@ -757,7 +756,7 @@ def test_what_cannot_be_drawn_is_refused_with_its_name() -> None:
 
 
 def test_every_file_of_families_is_imported() -> None:
-    """By name, so that programs which draw levels are keyed by its source too."""
+    """Imports by name key programs that draw levels by the sources of families too."""
     files = {file.stem for file in Path(families.__file__).parent.glob("*.py")} - {"__init__"}
     assert files == set(families.__all__)
 

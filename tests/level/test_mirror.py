@@ -9,8 +9,8 @@ import pytest
 
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.level.level import WORLD_SIZE_M
-from kinetix_dist.level.mirror import mirrored
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.level.variants import mirrored
 from tests.level.random_levels import random_levels
 
 NUM_LEVELS, STEPS = 64, 12

@@ -1,4 +1,4 @@
-"""What docs/level_format.md says of motors and of walls, played."""
+"""Facts about motors and walls in docs/level_format.md, played."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_motor_of_speed_0_brakes_at_either_action(engine: Engine) -> None:
 
 
 def test_what_is_hinged_to_a_wall_passes_through_it(engine: Engine) -> None:
-    """From 0.3 m above the floor: a bar of 0.6 m that the floor stops comes to lie at -30 degrees."""
+    """A bar of 0.6 m hinged 0.3 m above the floor would lie at -30 degrees if the floor stopped it."""
     document = arm_document()
     document["shapes"][0]["position"], document["shapes"][1]["position"] = [2.8, 0.7], [2.5, 0.7]
     document["joints"][0] |= {"anchor": [2.5, 0.7]}

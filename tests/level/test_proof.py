@@ -57,9 +57,9 @@ def test_a_proof_of_another_level_or_environment_is_refused() -> None:
         LevelFormatError, match=r"^cart.json: level_sha256: is [0-9a-f]{12}\.\.\., the level is .*again"
     ):
         check_proof_is_of(PROOF, path, cart_document() | {"gravity": [0, 0]}, **ENVIRONMENT)
-    with pytest.raises(LevelFormatError, match=r"^cart.json: preset: is 'standard', asked for is 'fine'; ask for"):
+    with pytest.raises(LevelFormatError, match=r"^cart.json: preset: is 'standard', requested is 'fine'; use"):
         check_proof_is_of(PROOF, path, cart_document(), **ENVIRONMENT | {"preset": "fine"})
-    with pytest.raises(LevelFormatError, match="frame_skip: is 2, asked for is 4"):
+    with pytest.raises(LevelFormatError, match="frame_skip: is 2, requested is 4"):
         check_proof_is_of(PROOF, path, cart_document(), **ENVIRONMENT | {"frame_skip": 4})
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.level.kinetix_format import load_kinetix
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 GRAVITY_M_S2, THRUST_N = 9.81, 10.0  # of power 1

@@ -57,7 +57,8 @@ def test_our_own_distribution_differs_in_what_the_rules_of_the_package_change() 
 
 @pytest.mark.parametrize(("details", "closest"), [((), 0.1), (("wide_margins",), 0.1 * 2**0.5)])
 def test_wide_margins_keep_circles_from_the_walls(details: tuple[str, ...], closest: float) -> None:
-    """They are a few centimetres, too little for the statistics above. Here every circle has a radius of 0.1 m."""
+    """Wide margins are a few centimetres, too little for the statistics above. Here every circle has a radius of 0.1
+    m."""
     config = GeneratorConfig(published_details=details, max_shape_size=0.25, large_rectangle_chance=1.0)
     levels = jax.tree.map(np.asarray, levels_of("s", config, 2000))
     is_held = levels.scene.joints.active[:, :1] & (levels.scene.joints.b == np.array([5, 6]))  # may be anywhere

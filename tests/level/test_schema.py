@@ -16,8 +16,7 @@ import pytest
 
 from kinetix_dist.level.document import LevelInfo, level_to_json
 from kinetix_dist.level.fit import usage
-from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import SIZES, Role
 from kinetix_dist.level.schema import LevelFormatError, level_from_json, load_level, save_level
 from kinetix_dist.level.validate import problems_of
 from tests.level.documents import cart_document

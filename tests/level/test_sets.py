@@ -15,10 +15,10 @@ from jax2d import JointKind
 from jax2d.scene import stack_worlds
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.level.noop import noop_solved
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import LevelFormatError, level_from_json, load_level
 from kinetix_dist.level.sets import RANDOM_SETS, designed_sets, held_out_key, load_level_set
+from kinetix_dist.level.simulation import noop_solved
 from kinetix_dist.level.variants import NUM_VARIANTS
 from tests.level.documents import cart_document
 
@@ -147,7 +147,7 @@ def test_wrong_names_are_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_a_directory_is_not_the_file_beside_it_that_is_called_like_it(tmp_path: Path) -> None:
-    """Such as results of an evaluation of the directory."""
+    """The file may be results of an evaluation of the directory."""
     (tmp_path / "mine").mkdir()
     shutil.copy(levels_root() / "s" / "kick.json", tmp_path / "mine")
     (tmp_path / "mine.json").write_text("{}")

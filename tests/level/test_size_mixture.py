@@ -38,7 +38,7 @@ def test_a_padded_batch_holds_what_fitting_level_by_level_gives(designed, size):
 
 
 def test_circles_joints_and_thrusters_find_their_shapes_again(designed):
-    """In S arrays the first circle is shape 5, in L arrays shape 12."""
+    """The first circle is shape 5 in S arrays and shape 12 in L arrays."""
     level = next(
         level
         for level in designed

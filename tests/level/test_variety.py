@@ -14,8 +14,7 @@ from jax2d.scene import Controls
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig, generator
-from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import NUM_WALLS, SIZES, Level, Role
 from kinetix_dist.level.variety import _hung_on_wall
 from tests.level.valid import assert_valid
 
@@ -68,7 +67,7 @@ def test_each_change_is_made_to_half_of_the_levels_within_its_limits() -> None:
     moves = exists & (shapes.inverse_mass > 0)
 
     def share(changed: np.ndarray, where: np.ndarray) -> float:
-        """Of the levels that have something to change."""
+        """Share of the levels that have something to change."""
         return (changed & where).any(1)[where.any(1)].mean()
 
     has_motor = joints.active & joints.motor_on
@@ -115,7 +114,7 @@ def test_what_hangs_on_a_wall_moves_as_on_the_disc_before() -> None:
 
 
 def test_what_is_hung_is_held_at_the_same_points_and_angles_and_pushes_on_nothing_that_is_gone() -> None:
-    """By each joint's own numbers, in the frames of shapes that are turned."""
+    """Each joint's own numbers, in the frames of shapes that are turned."""
     plain, varied = levels_of("l", 0.0), levels_of("l", 1.0)
     joints, thrusters = varied.scene.joints, varied.scene.thrusters
     is_gone = plain.scene.shapes.active & ~varied.scene.shapes.active

@@ -12,8 +12,7 @@ import pytest
 
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import SIZES
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import SIZES, Role
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.level.vectors import (
     check_describable,
@@ -61,7 +60,7 @@ def test_a_level_comes_back_from_its_vector_whatever_the_order_of_its_slots(size
 
 @SIZE
 def test_the_level_that_comes_back_weighs_and_moves_as_before(size):
-    """By what vectors do not say: masses, which follow from shapes, and who may touch whom."""
+    """Masses and contact permissions, which vectors do not hold, follow from shapes."""
     level, back = drawn(size), from_vectors(size, to_vectors(size)(drawn(size)))
     for name in ("inverse_mass", "inverse_inertia"):
         ours, theirs = (np.sort(getattr(one.scene.shapes, name), axis=1) for one in (back, level))

@@ -1,4 +1,4 @@
-"""What every level is, whoever made it: the checks that files and engines have, for a batch at once."""
+"""Facts of every level, whatever its source: the checks that files and engines have, for a batch at once."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import numpy as np
 
 from jax2d import Capacity
 from jax2d.checks import check_scene
-from kinetix_dist.level.level import NUM_WALLS, Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import NUM_WALLS, Level, Role
 from kinetix_dist.level.walls import empty_level
 
 

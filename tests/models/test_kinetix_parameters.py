@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from kinetix_dist.checkpoint.safetensors_file import read_safetensors
+from kinetix_dist.checkpoint.arrays import read_safetensors
 from kinetix_dist.env.observations.entities import EntityObs
 from kinetix_dist.env.observations.kinetix_entities import NUM_FEATURES
 from kinetix_dist.level.kinetix_format import load_kinetix

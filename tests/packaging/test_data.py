@@ -1,4 +1,4 @@
-"""Where levels and pretrained policies are found: in the package of a wheel, else at the top of the checkout."""
+"""Directories of levels and pretrained policies: in the package of a wheel, else at the top of the checkout."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import pytest
 
 from kinetix_dist import installation
 from kinetix_dist.checkpoint import CheckpointError, load_checkpoint
-from kinetix_dist.checkpoint.pretrained import find_checkpoint, pretrained_names
-from kinetix_dist.level.paths import LEVELS_VARIABLE, levels_root
+from kinetix_dist.checkpoint.store import find_checkpoint, pretrained_names
+from kinetix_dist.level.level_data import LEVELS_VARIABLE, levels_root
 from tests.helpers import REPOSITORY
 
 

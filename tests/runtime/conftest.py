@@ -12,7 +12,7 @@ NUM_UPDATES, STEPS = 4, 128  # of the recipe `tiny`: a checkpoint every 2 update
 
 
 def tiny_options(num_updates: int) -> list[str]:
-    """Of `kinetix-dist train`."""
+    """Options of `kinetix-dist train`."""
     return ["--recipe", "tiny", "--evaluation.sets", "s/kick", "--run.total_env_steps", str(num_updates * STEPS)]
 
 

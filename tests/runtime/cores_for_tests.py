@@ -80,7 +80,7 @@ class Compiler:
     def __init__(self, directory: str) -> None:
         import jax
 
-        from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+        from kinetix_dist.program_cache import enable_compile_cache
 
         self._num_hits = 0
         self._handed: Any = None
@@ -89,7 +89,7 @@ class Compiler:
         jax.monitoring.register_event_listener(self._count)
 
     def num_hits(self) -> int:
-        """Of programs that were there already; all processes of the group have to be asked."""
+        """Programs that were in the cache already; the call goes to all processes of the group."""
         import jax
         import jax.numpy as jnp
 
@@ -118,7 +118,7 @@ class Compiler:
         return HangingStamp(meeting), np.ones(size, np.uint8)
 
     def compute_until_handed(self, seconds: float) -> int:
-        """As a learner that computes: bytes that `hand` fetched meanwhile. Raises TimeoutError where it did not."""
+        """Computes like a learner; bytes that `hand` fetched meanwhile. Raises TimeoutError where it did not."""
         deadline = time.monotonic() + seconds
         while self._handed is None:
             if time.monotonic() > deadline:

@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from kinetix_dist.env.observations import OBSERVATIONS, VECTOR, Moving, Observation
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Level, Role
 
 
 class FromGreen(Observation):

@@ -66,7 +66,7 @@ class Raylets:
 
     @property
     def pids(self) -> list[int]:
-        """Of the commands; what they started are their children."""
+        """Process ids of the commands; the processes that they started are their children."""
         return [process.pid for process in self._processes]
 
     def stop_last(self) -> None:
@@ -85,7 +85,7 @@ class Raylets:
 
 
 def _own_address() -> str:
-    """As Ray finds it: that of the interface that leads out of this host."""
+    """Address of the interface that leads out of this host, as Ray finds it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))

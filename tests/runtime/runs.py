@@ -12,7 +12,7 @@ import numpy as np
 from kinetix_dist.checkpoint import load_checkpoint, newest_good
 from kinetix_dist.config import EvaluationConfig, LimitsConfig, TrainConfig, to_dict
 from kinetix_dist.recipes import recipe
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 
 
@@ -72,7 +72,7 @@ def without_evaluator(config: TrainConfig) -> TrainConfig:
 
 
 def run_directory(path: Path, config: TrainConfig, *, resume: bool) -> RunDirectory:
-    """As the command makes it: with the configuration in it."""
+    """Run directory as the command makes it: with the configuration in it."""
     run = RunDirectory.open_existing(path) if resume else RunDirectory.create(path, numbered=False)
     run.write_json(run.config_path, {"hash": config.hash, "config": to_dict(config)})
     return run
@@ -90,7 +90,7 @@ def run_updates(
     """Trains without evaluations to the configured end; a checkpoint is left there."""
     run = run_directory(path, config, resume=resume)
     try:
-        controller = Controller(config, run, trainer, curator, reporter or QuietReporter())
+        controller = Controller(config, run, Roles(trainer=trainer, curator=curator), reporter or QuietReporter())
         controller.restore(resume=resume)
         controller.train()
         return controller

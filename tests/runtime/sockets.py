@@ -1,4 +1,4 @@
-"""What the processes of a run show to others: sockets they listen on, command lines, logs."""
+"""Traces of the processes of a run that others can see: sockets they listen on, command lines, logs."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ NUM_UPDATES = 5
 
 
 def split_config(curriculum: str = "domain_randomization", **run: Any) -> TrainConfig:
-    """With a curriculum that has no curator, which has nothing to do with placements."""
+    """Config with a curriculum that has no curator, which has nothing to do with placements."""
     config = tiny_config(num_updates=NUM_UPDATES, placement="split", **run)
     # So that episodes end within an update, for curricula that observe.
     env = dataclasses.replace(config.env, max_steps=5)

@@ -114,7 +114,7 @@ def test_what_kept_a_program_from_being_compiled_is_raised_by_the_call_that_runs
 
 
 class _Handle:
-    """Of a process that answers nothing."""
+    """Handle of a process that answers nothing."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []

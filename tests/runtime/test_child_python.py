@@ -88,7 +88,7 @@ def test_nothing_starts_python_by_itself():
     others = {
         "kinetix_dist/cli/doctor.py",  # says which Python runs
         "kinetix_dist/runtime/processes/fork_client.py",  # goes on as Ray's own script, which knows the import path
-        "kinetix_dist/sweep/lane_process.py",  # becomes a command of command_of
+        "kinetix_dist/sweep/slots.py",  # becomes a command of command_of
         "bench/compare_revisions.py",  # runs another revision of the engine
     }
     sources = [path for folder in ("kinetix_dist", "jax2d", "bench") for path in (REPOSITORY / folder).rglob("*.py")]

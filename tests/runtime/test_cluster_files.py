@@ -153,7 +153,7 @@ def test_the_slurm_script_trains_on_two_nodes_of_real_ray(tmp_path):
 
 
 def _end_session(session: int) -> None:
-    """What the scheduler does with job steps that are left, and with what they started."""
+    """Ends a session as the scheduler does: job steps that are left, and their processes."""
     import psutil
 
     for process in psutil.process_iter():

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow  # a fault test: two Ray nodes, as cluster/README.
 
 
 def documented() -> list[str]:
-    """What the command lines or titles have in them, in the order of the table."""
+    """Command lines or titles of the documented sockets, in the order of the table."""
     table = README.read_text().split("### Ports and tokens")[1].split("\n### ")[0]
     names = re.findall(r"^\| `([^`]+)` \|", table, re.MULTILINE)
     assert len(names) >= 8, "the table of ports is gone"

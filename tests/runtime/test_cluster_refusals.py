@@ -1,4 +1,4 @@
-"""What a cluster cannot run is refused at the start, in one line with exit status 2. Real raylets by `ray start`."""
+"""Refusals of a cluster at the start, in one line with exit status 2. Real raylets by `ray start`."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""What a curator compiles while it has nothing to do is not compiled again when training waits for it."""
+"""A program that a curator compiled while it was idle is not compiled again when training waits for it."""
 
 import dataclasses
 

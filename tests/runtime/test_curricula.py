@@ -13,7 +13,7 @@ from kinetix_dist.curator.teacher_levels import teacher_levels
 from kinetix_dist.learner.step_size import GUARD_FACTOR
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.runtime.cores.rollout_core import Batch, worlds_trained
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
@@ -59,7 +59,9 @@ def _train(config, path, *, resume):
     reporter = QuietReporter()
     backend, placement = LocalBackend(), plan_placement(config, num_gpus=0)
     curator = CuratorClient(config, backend, placement.of("curator")) if config.has_curator else None
-    controller = Controller(config, run, SplitTrainer(config, backend, placement), curator, reporter)
+    controller = Controller(
+        config, run, Roles(trainer=SplitTrainer(config, backend, placement), curator=curator), reporter
+    )
     controller.restore(resume=resume)
     controller.train()
     run.close()
@@ -76,7 +78,7 @@ def _what_was_learned(row):
     "name", [pytest.param(name, marks=[] if name in IN_MAKE_TEST else pytest.mark.slow) for name in CURRICULA]
 )
 def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_path):
-    """In the split placement: what was in flight at the checkpoint is played again from the state that proposed it."""
+    """Split placement: the batch in flight at the checkpoint is played again from the state that proposed it."""
     config = _config(name, placement="split", checkpoint_every=SAVED_AT)
     rows = _train(config, tmp_path / "unbroken", resume=False)
     shutil.copytree(tmp_path / "unbroken", tmp_path / "cut")

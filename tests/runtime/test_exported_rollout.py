@@ -21,9 +21,10 @@ from kinetix_dist.env import device_memory
 from kinetix_dist.env.device_memory import DeviceMemoryError
 from kinetix_dist.env.observations import OBSERVATIONS, EntityObservation
 from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.program_cache import ProgramKey
 from kinetix_dist.runtime.cores import rollout_core as module
 from kinetix_dist.runtime.cores.playing import Playing
-from kinetix_dist.runtime.cores.rollout_core import KIND
+from kinetix_dist.runtime.cores.rollout_core import CACHE
 from tests.helpers import compile_cache, environment_of_cpus
 from tests.runtime import exported_rollout_program
 from tests.runtime.runs import tiny_config
@@ -31,17 +32,17 @@ from tests.runtime.runs import tiny_config
 
 def test_another_process_reads_it_and_plays_the_same_bits(tmp_path: Path) -> None:
     with compile_cache(tmp_path):
-        module._kept.cache_clear()
+        module._cached.cache_clear()
         traced, exported = (exported_rollout_program.play(is_exported=is_exported) for is_exported in (False, True))
-        module._kept.cache_clear()
+        module._cached.cache_clear()
     assert exported["content"] == traced["content"]
     assert exported["traced"] == 1
-    (file,) = (tmp_path / KIND).iterdir()
+    (file,) = (tmp_path / CACHE).iterdir()
     written = file.stat().st_mtime_ns
     command = [sys.executable, exported_rollout_program.__file__, str(tmp_path)]
     found = subprocess.run(command, env=environment_of_cpus(1), check=True, capture_output=True, text=True).stdout
     assert json.loads(found.splitlines()[-1]) == {"traced": 0, "content": traced["content"]}
-    assert [file.stat().st_mtime_ns for file in (tmp_path / KIND).iterdir()] == [written]
+    assert [file.stat().st_mtime_ns for file in (tmp_path / CACHE).iterdir()] == [written]
 
 
 class OfAUser(EntityObservation):
@@ -49,35 +50,35 @@ class OfAUser(EntityObservation):
 
 
 @pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """What the program of a configuration is told to depend on; None: it is traced in every process."""
+def key_of(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Key of the program of a configuration; None: it is traced in every process."""
 
-    def made_from(config: TrainConfig) -> str | None:
-        found: list[str | None] = []
-        monkeypatch.setattr(module, "_cached", lambda *parts, made_from, **others: found.append(made_from))
+    def find(config: TrainConfig) -> ProgramKey | None:
+        found: list[ProgramKey | None] = []
+        monkeypatch.setattr(module, "_cached", lambda *parts, key, **others: found.append(key))
         Playing(config, data_mesh(jax.devices()[:1])).rollout(config)
         return found[0]
 
-    return made_from
+    return find
 
 
-def test_what_is_not_of_this_project_is_traced_in_every_process(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_of_this_project_is_traced_in_every_process(key_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     config = tiny_config(num_updates=1)
-    assert told(config) is not None
+    assert key_of(config) is not None
     plugins = dataclasses.replace(config.run, plugins=("tests.runtime.fake_curriculum",))
-    assert told(dataclasses.replace(config, run=plugins)) is None
+    assert key_of(dataclasses.replace(config, run=plugins)) is None
     given = CurriculumConfig(name="fixed", levels="designed_s")  # files, which may change too
-    assert told(dataclasses.replace(config, curriculum=given)) is None
+    assert key_of(dataclasses.replace(config, curriculum=given)) is None
     monkeypatch.setattr(OBSERVATIONS, "_parts", {**OBSERVATIONS._parts, "of_a_user": OfAUser()})
     of_a_user = dataclasses.replace(config.env, observation="of_a_user")
-    assert told(dataclasses.replace(config, env=of_a_user)) is None
+    assert key_of(dataclasses.replace(config, env=of_a_user)) is None
 
 
-def test_a_curriculum_of_the_same_name_is_another_program(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_curriculum_of_the_same_name_is_another_program(key_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     found = set()
     for one in (Plr, RobustPlr):
         monkeypatch.setattr(CURRICULA, "_parts", {**CURRICULA._parts, "mine": one})
-        found.add(told(dataclasses.replace(tiny_config(num_updates=1), curriculum=CurriculumConfig(name="mine"))))
+        found.add(key_of(dataclasses.replace(tiny_config(num_updates=1), curriculum=CurriculumConfig(name="mine"))))
     assert len(found) == 2 and None not in found
 
 
@@ -92,10 +93,10 @@ def test_worlds_that_do_not_fit_are_refused_also_where_the_program_is_read(monke
         Playing(config, data_mesh(jax.devices()[:1])).rollout(config)
 
 
-def test_what_changes_a_rollout_makes_another_program(told: Any) -> None:
+def test_what_changes_a_rollout_makes_another_program(key_of: Any) -> None:
     config = tiny_config(num_updates=1)
     longer = dataclasses.replace(config.run, total_env_steps=config.run.total_env_steps * 2)
-    assert told(dataclasses.replace(config, run=longer)) == told(config)
+    assert key_of(dataclasses.replace(config, run=longer)) == key_of(config)
     another_seed = dataclasses.replace(config.run, seed=config.run.seed + 1)
     penalty = dataclasses.replace(config.env, failure_penalty=config.env.failure_penalty + 0.5)
     generator = dataclasses.replace(config.curriculum.generator, thruster_chance=0.5)
@@ -105,4 +106,4 @@ def test_what_changes_a_rollout_makes_another_program(told: Any) -> None:
         dataclasses.replace(config, curriculum=dataclasses.replace(config.curriculum, generator=generator)),
         dataclasses.replace(config, rollout=dataclasses.replace(config.rollout, num_groups=2)),
     ]
-    assert len({told(one) for one in (config, *changed)}) == 1 + len(changed)
+    assert len({key_of(one) for one in (config, *changed)}) == 1 + len(changed)

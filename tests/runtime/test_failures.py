@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.models.kernels import support
 from tests.runtime.sockets import listening, places_of
 from tests.runtime.train_process import TINY, kill_newest, rows, start, wait_for
@@ -14,7 +14,7 @@ COLOCATED = [*TINY, "--run.placement", "colocated"]
 
 
 def _the_line(process, status: int = 1) -> str:
-    """What it said at last; fails where that is not one line with this exit status."""
+    """Last line of a command; fails where there is more than one, or another exit status."""
     _, errors = process.communicate(timeout=300)
     assert process.returncode == status, errors
     assert "Traceback" not in errors

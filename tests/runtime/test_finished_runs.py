@@ -101,7 +101,7 @@ def test_a_directory_with_characters_of_patterns_holds_a_run_like_any_other(fini
 
 
 def test_a_run_whose_configuration_has_no_space_is_told_to_start_again(tmp_path, monkeypatch, capsys):
-    """There is nothing yet that --resume could go on with."""
+    """No checkpoint exists that --resume could go on with."""
 
     def full(run, path, content):
         raise OSError(28, "No space left on device")

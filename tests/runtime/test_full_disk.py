@@ -23,7 +23,7 @@ from tensorboardX.proto.event_pb2 import Event
 from kinetix_dist.checkpoint import list_checkpoints, newest_good
 from kinetix_dist.cli.main import main
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.evaluations import Recorder
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.reporting import RunReporter
@@ -111,7 +111,7 @@ def test_training_goes_on_for_100_updates_on_a_full_disk_and_all_files_after_it(
         backend = LocalBackend()
         trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
         curator = CuratorClient(config, backend, [ProcessPlan(role="curator", index=0)])
-        controller = Controller(config, run, trainer, curator, reporter)
+        controller = Controller(config, run, Roles(trainer=trainer, curator=curator), reporter)
         controller.restore(resume=False)
         controller.train()
         controller.close()
@@ -303,7 +303,7 @@ cp -r "$DISK/run" "$OUT/run"
 
 @pytest.mark.slow
 def test_a_file_system_of_6_mb_that_is_full_for_ten_seconds(tmp_path):
-    """In a mount namespace of its own; skipped where the machine gives none."""
+    """Runs in a mount namespace of its own; skipped where the machine gives none."""
     if subprocess.run(["unshare", "--map-root-user", "--mount", "true"], capture_output=True, check=False).returncode:
         pytest.skip("no mount namespaces here")
     (tmp_path / "disk").mkdir()

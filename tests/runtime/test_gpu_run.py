@@ -110,7 +110,7 @@ def test_a_run_that_was_ended_half_way_and_resumed_equals_an_unbroken_one_bit_fo
 
 
 class Steps:
-    """Of a test that has to end in time: prints when each is done, and says what is left of `limit_s`."""
+    """Steps of a test that has to end in time: prints when each is done, and the rest of `limit_s`."""
 
     def __init__(self, limit_s):
         self._began = time.monotonic()

@@ -16,17 +16,17 @@ import pytest
 from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint, save_checkpoint
 from kinetix_dist.config import to_dict
 from kinetix_dist.phases import PhaseConfig
+from kinetix_dist.program_cache import compile_seconds, count_compile_seconds
 from kinetix_dist.runtime.driver import refreshes
 from kinetix_dist.runtime.driver.checkpoints import newest_checkpoint
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.refreshes import CuratorClient, WorkerCurator
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
 from kinetix_dist.runtime.driver.stopping import StoppedError, StopSignals
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan_placement
-from kinetix_dist.telemetry.compile_time import compile_seconds, count_compile_seconds
 from kinetix_dist.telemetry.curriculum_log import REFRESH, CurriculumLogConfig, list_snapshots, read_snapshot
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import (
@@ -112,7 +112,7 @@ def _with_refreshes_alike(**run):
 
 
 def _stopped_after_five(config, path):
-    """What was done until SIGTERM, which came in the fifth update."""
+    """Updates done until SIGTERM, which came in the fifth."""
     stop = StopSignals()
 
     class Signalled(_NotingTrainer):
@@ -123,7 +123,9 @@ def _stopped_after_five(config, path):
 
     trainer = Signalled(config)
     run = run_directory(path, config, resume=False)
-    controller = Controller(config, run, trainer, WorkerCurator(trainer), QuietReporter(), stop=stop)
+    controller = Controller(
+        config, run, Roles(trainer=trainer, curator=WorkerCurator(trainer)), QuietReporter(), stop=stop
+    )
     controller.restore(resume=False)
     with pytest.raises(StoppedError, match="stopped by SIGTERM after update 5, which is saved"):
         controller.train()
@@ -183,7 +185,7 @@ def _goes_on_as_unbroken(config, path, unbroken, *, first):
 
 
 def test_a_signal_while_workers_score_the_first_levels_ends_the_run_before_the_first_update(tmp_path):
-    """It may compile for minutes."""
+    """The update may compile for minutes."""
     config, stop = tiny_config(num_updates=8, num_curators=0), StopSignals()
 
     class Signalled(_NotingTrainer):
@@ -193,7 +195,9 @@ def test_a_signal_while_workers_score_the_first_levels_ends_the_run_before_the_f
 
     trainer = Signalled(config)
     run = run_directory(tmp_path / "run", config, resume=False)
-    controller = Controller(config, run, trainer, WorkerCurator(trainer), QuietReporter(), stop=stop)
+    controller = Controller(
+        config, run, Roles(trainer=trainer, curator=WorkerCurator(trainer)), QuietReporter(), stop=stop
+    )
     controller.restore(resume=False)
     with pytest.raises(StoppedError, match="stopped by SIGTERM before the first update"):
         controller.train()
@@ -286,8 +290,7 @@ def test_a_refresh_in_flight_is_asked_for_again_with_the_same_weights(tmp_path):
     controller = Controller(
         longer,
         run,
-        ColocatedTrainer(longer, backend, [WORKER]),
-        CuratorClient(longer, backend, [CURATOR]),
+        Roles(trainer=ColocatedTrainer(longer, backend, [WORKER]), curator=CuratorClient(longer, backend, [CURATOR])),
         QuietReporter(),
     )
     controller.restore(resume=True)
@@ -303,7 +306,7 @@ def test_a_checkpoint_of_another_config_is_refused_with_the_field(tmp_path):
     (tmp_path / "run" / "config.json").write_text("{}")
     run = RunDirectory.open_existing(tmp_path / "run")
     backend = LocalBackend()
-    controller = Controller(other, run, ColocatedTrainer(other, backend, [WORKER]), None, QuietReporter())
+    controller = Controller(other, run, Roles(trainer=ColocatedTrainer(other, backend, [WORKER])), QuietReporter())
     with pytest.raises(CheckpointError, match=r"another config: run.seed 1 instead of 0"):
         controller.restore(resume=True)
     run.close()
@@ -347,7 +350,7 @@ def _run_split(num_updates, path, *, resume=False, trainer_of=SplitTrainer, stop
     directory.write_json(directory.config_path, {})
     curator = CuratorClient(config, backend, placement.of("curator"))
     trainer = trainer_of(config, backend, placement)
-    controller = Controller(config, directory, trainer, curator, QuietReporter(), stop=stop)
+    controller = Controller(config, directory, Roles(trainer=trainer, curator=curator), QuietReporter(), stop=stop)
     try:
         controller.restore(resume=resume)
         controller.train()
@@ -357,7 +360,7 @@ def _run_split(num_updates, path, *, resume=False, trainer_of=SplitTrainer, stop
 
 
 def test_a_resumed_split_run_plays_the_batch_that_was_in_flight_again(tmp_path, monkeypatch):
-    """Also where the buffer of the batch after it was adopted right before a signal, or right after a checkpoint."""
+    """The buffer of the batch after it may have been adopted right before a signal, or right after a checkpoint."""
     monkeypatch.setattr(refreshes, "MAX_EARLY_S", np.inf)
     stop = StopSignals()
 

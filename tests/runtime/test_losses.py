@@ -49,7 +49,7 @@ def _train(config, path):
 
 @pytest.fixture(scope="module")
 def unbroken(tmp_path_factory):
-    """In this process: what a run with one worker has to reproduce."""
+    """Arrays of a run in this process, which a run with one worker has to reproduce."""
     path = tmp_path_factory.mktemp("unbroken") / "run"
     _train(_config(placement="local"), path)
     return final_arrays(path)
@@ -68,7 +68,7 @@ def _before_calls(monkeypatch, do):
 
 
 def test_what_a_loss_cut_off_is_repeated_whatever_the_run_was_at(unbroken, tmp_path, monkeypatch):
-    """In one process, which is lost in words only, and built again: the slow tests end processes."""
+    """One process stands for all: it is lost in words only, and built again. The slow tests end processes."""
     left = ["start", "start", "evaluate", "run_update", "snapshot", "record", "facts"]
 
     def lose(method, trainer):
@@ -100,7 +100,7 @@ class Killer:
             os.kill(pid, signal.SIGKILL)
 
     def install(self, monkeypatch):
-        """At the calls that a run makes; the calls themselves are made as ever, to a process that is dying."""
+        """Listens to the calls that a run makes; the calls themselves go to a process that is dying."""
         _before_calls(
             monkeypatch, lambda method, trainer: trainer._handles and self.at(method, trainer._handles[0].pid)
         )

@@ -19,7 +19,7 @@ from tests.runtime.train_process import LIMIT_S, TINY, events, rows, start, wait
 
 @pytest.fixture(scope="module")
 def head():
-    """With room for two processes; it lives as long as the tests do."""
+    """Head node with resources for two processes; it lives as long as the tests do."""
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
     yield cluster
     cluster.shutdown()
@@ -91,7 +91,7 @@ def _start(cluster, run, monkeypatch, *options):
 
 
 def _ended(process):
-    """What a run said on stderr after it was asked to stop."""
+    """Text on stderr of a run after a stop was requested."""
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=LIMIT_S)
     assert process.returncode == EXIT_STOPPED and "which is saved" in errors and "Traceback" not in errors, errors
@@ -154,7 +154,7 @@ def test_training_waits_for_a_node_with_one_line_where_it_must_not_shrink(cluste
 
 
 def test_a_split_run_gives_up_rollout_actors_before_learners():
-    """Of two learners and three actors: all sizes that are tried, the largest first. No node is asked."""
+    """Two learners and three actors: all sizes that are tried, the largest first. No node is needed."""
     config = tiny_config(num_updates=1, placement="split", num_learners=2, num_rollout_actors=3, min_workers=2)
     told = {"on_event": lambda kind, **details: None, "on_note": lambda text: None}
     resizing = Resizing(config, None, plan_placement(config, num_gpus=0), _Placed(), {}, **told)

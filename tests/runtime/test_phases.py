@@ -14,7 +14,7 @@ from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.driver.checkpoints import lineage_from, starting_point
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.split import SplitTrainer
@@ -98,7 +98,7 @@ def _train(config, path, *, resume, reporter=None):
         trainer = SplitTrainer(config, backend, plan_placement(config, num_gpus=0))
     else:
         trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
-    controller = Controller(config, run, trainer, curator, reporter)
+    controller = Controller(config, run, Roles(trainer=trainer, curator=curator), reporter)
     controller.restore(resume=resume)
     controller.train()
     run.close()
@@ -137,7 +137,7 @@ SAVED_AT = {"local": 3, "split": 2}  # in split, batch 3 is in flight at 2: the 
 
 @pytest.mark.parametrize("side", ["as the phase begins", pytest.param("an update away", marks=pytest.mark.slow)])
 def test_a_run_resumed_just_before_or_just_after_a_change_equals_the_unbroken_one(unbroken, tmp_path, side):
-    """From the checkpoint with which the change comes, and from one update before (local) or after (split)."""
+    """Resumes from the checkpoint with which the change comes, and from one update before (local) or after (split)."""
     config, path, rows, _ = unbroken
     saved_at = SAVED_AT[config.run.placement] if side == "as the phase begins" else 5 - SAVED_AT[config.run.placement]
     shutil.copytree(path, tmp_path / "cut")
@@ -214,7 +214,7 @@ def test_what_makes_another_policy_of_the_same_parameters_is_said(unbroken):
 
 @pytest.mark.parametrize("unbroken", ["local"], indirect=True)
 def test_a_run_with_more_layers_starts_from_a_policy_with_fewer(unbroken, tmp_path):
-    """What was learned is taken as it is, the layers that it lacks are added, and their number is said."""
+    """The learned layers are taken as they are, those that are missing are added, and their number is noted."""
     config, path, _, _ = unbroken
     parent = list_checkpoints(path / "checkpoints")[-1]
     policy = dataclasses.replace(config.policy, num_layers=config.policy.num_layers + 1)

@@ -1,4 +1,4 @@
-"""What goes wrong in the physics of a rollout is counted, reported and warned of once. Real engines, bad levels."""
+"""Faults in the physics of a rollout are counted, reported and warned of once. Real engines, bad levels."""
 
 import dataclasses
 import json
@@ -60,7 +60,7 @@ def test_worlds_that_are_not_finite_are_reset_in_every_step_and_counted(worker):
 
 
 def _sums(effects, weights):
-    """Of a rollout with an engine that has these effects alone, on levels with everything."""
+    """Sums of a rollout with an engine that has these effects alone, on levels with all effects."""
     config = tiny_config(num_updates=1)
     levels = dataclasses.replace(config.curriculum, name="fixed", levels="designed_s")
     config = dataclasses.replace(config, curriculum=levels)

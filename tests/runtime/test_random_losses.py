@@ -79,7 +79,7 @@ def _wait_for_update(run, driver, *, since):
 
 
 def _tell(placement, killed, run, seconds):
-    """What came out, for `pytest -s`."""
+    """Prints the outcome, for `pytest -s`."""
     lost = events(run, "process_lost")
     recovered = {role: [row["seconds"] for row in events(run, "recovered", role=role)] for role in ROLES}
     told = {

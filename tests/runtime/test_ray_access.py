@@ -47,7 +47,7 @@ def test_a_token_that_others_could_read_is_closed_and_kept(home, monkeypatch):
 
 
 def test_ray_leaves_signals_to_whoever_had_them():
-    """It would end a run that is told to stop while it starts with a status of Ray's own."""
+    """Ray's handler would end a run that is stopped while it starts, with a status of Ray's own."""
     before = signal.getsignal(signal.SIGTERM)
     with own_signals():
         utils.set_sigterm_handler(lambda number, frame: None)

@@ -209,7 +209,7 @@ def test_what_is_needed_next_is_fetched_while_a_call_computes_and_storing_it_is_
 
 
 def _stored_mib():
-    """What lies in the object store of this machine."""
+    """MiB in the object store of this machine."""
     summary = memory_summary(ray.get_runtime_context().gcs_address, stats_only=True)
     return int(re.search(r"Plasma memory usage (\d+) MiB", summary)[1])
 
@@ -290,7 +290,7 @@ def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(backen
 
 
 def test_the_first_pass_of_a_section_may_take_the_time_to_compile(monkeypatch):
-    """As long as somebody compiles: what hangs is noticed after the limit of the section."""
+    """The section may take as long as a process compiles: a hanging call is noticed after the limit of the section."""
     sections, now = Sections(), [1000.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     sections.limits = {"update": 10.0, "save": 5.0, "compile": 100.0}

@@ -57,7 +57,7 @@ def _run(config, path, backend, reporter=None, at_update=None, resume=False):
 
 @pytest.fixture(scope="module")
 def local_arrays(tmp_path_factory):
-    """Of eight updates in this process: what every lag-0 run with one worker has to reproduce."""
+    """Arrays of eight updates in this process, which every lag-0 run with one worker has to reproduce."""
     path = tmp_path_factory.mktemp("local")
     config = tiny_config(num_updates=8, placement="colocated")
     _run(config, path / "run", LocalBackend())
@@ -216,7 +216,7 @@ def test_parts_of_a_user_are_trained_in_one_process_and_on_ray_alike(ray_backend
 
 
 def test_a_curriculum_of_a_user_goes_on_where_its_run_was_cut(tmp_path):
-    """In the split placement: the batch in flight was proposed by the state before the last one that was seen."""
+    """Split placement: the batch in flight was proposed by the state before the last one that was seen."""
     run = {"placement": "split", "num_rollout_actors": 2}
     config = _config_of_a_user(num_updates=6, **run)
     _, reporter = _run(config, tmp_path / "whole", LocalBackend())

@@ -1,4 +1,4 @@
-"""What a resumed run makes of its checkpoints: all bad, of other devices or versions, drafts of a killed process."""
+"""Checkpoints of resumed runs: all bad, of other devices or versions, drafts of a killed process."""
 
 import json
 import shutil
@@ -114,7 +114,7 @@ def test_a_save_goes_on_beside_training_and_its_failure_is_heard_at_the_next_upd
 
 
 def test_a_directory_that_is_replaced_during_a_run_can_be_gone_on_with(tmp_path):
-    """As a mount that drops and comes back empty: nothing is saved while it is gone, then with its configuration."""
+    """A mount drops and comes back empty: no checkpoint is saved while it is gone; later ones have the config."""
     run = RunDirectory.create(tmp_path / "run", numbered=False)
     run.config = {"hash": "abc", "config": {}}
     run.write_json(run.config_path, run.config)

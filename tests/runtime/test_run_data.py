@@ -1,4 +1,4 @@
-"""What training writes for dashboards: true to what was trained on, rewound with it, and without a say in it."""
+"""Files of training for dashboards: true to what was trained on, rewound with it, and without influence on it."""
 
 import contextlib
 import dataclasses
@@ -12,7 +12,7 @@ from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint, select_ar
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.scores import learnability
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
@@ -63,7 +63,7 @@ def _train(config, path, *, resume=False, backend=None, reporter=None):
     trainer = SplitTrainer(config, backend, placement) if split else None
     trainer = trainer or ColocatedTrainer(config, backend, placement.of("worker"))
     curator = CuratorClient(config, backend, placement.of("curator")) if config.has_curator else None
-    controller = Controller(config, run, trainer, curator, reporter)
+    controller = Controller(config, run, Roles(trainer=trainer, curator=curator), reporter)
     try:
         controller.restore(resume=resume)
         controller.train()
@@ -95,7 +95,7 @@ def _assert_same_data(ours, theirs):
 
 
 def _assert_counts_add_up(path, rows):
-    """Of every window, with what metrics say of its updates."""
+    """Compares every window with the metrics of its updates."""
     lines = read_outcomes(path / "curriculum" / "outcomes.jsonl")
     assert [line["from_update"] for line in lines] == [0, *(line["update"] for line in lines[:-1])]
     assert lines[-1]["update"] == len(rows)

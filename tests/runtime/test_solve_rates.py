@@ -35,7 +35,7 @@ P_OF_FRESH = 0.3
 
 
 class Course(NamedTuple):
-    """What worlds did, [T, W]."""
+    """Course of worlds, [T, W]."""
 
     done: np.ndarray
     solved: np.ndarray
@@ -82,7 +82,7 @@ def outcome_of(course: Course) -> LevelOutcome:
 
 
 def sums_over(outcome: LevelOutcome, source: np.ndarray, size: np.ndarray) -> dict[str, Any]:
-    """As a rollout gives them. source: 0 fresh, others a place in the buffer; size: number of it; of each world."""
+    """Sums as a rollout gives them. source: 0 fresh, others a slot of the buffer; size: number of it; of each world."""
     rewards = np.zeros((MAX_STEPS, len(outcome.num_solved)), np.float32)
     return jax.device_get(_sums_over(outcome, rewards, source, size))
 
@@ -151,7 +151,7 @@ def test_solve_rates_of_metrics_are_those_of_first_episodes(update) -> None:
 
 @pytest.mark.parametrize(("sources", "num_counted"), [(("all",), 1), ((), 3)])
 def test_where_all_levels_come_from_one_source_there_is_one_solve_rate(update, sources, num_counted) -> None:
-    """As "domain_randomization" has it, and "fixed", which counts the levels of its set one by one."""
+    """Curricula: "domain_randomization", and "fixed", which counts the levels of its set one by one."""
     _, sums, _ = update
     counts = {name: np.full(num_counted, 4) for name in ("solved", "attempts")}
     metrics = training_metrics(sums | {BY_SOURCE: counts}, {}, frame_skip=1, sources=sources)

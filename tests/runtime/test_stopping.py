@@ -16,7 +16,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
 from kinetix_dist.config import to_dict
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StoppedError, StopSignals
@@ -69,7 +69,7 @@ def test_a_run_that_was_stopped_goes_on_bit_for_bit(finished_run, tmp_path):
     run.write_json(run.config_path, {"config": to_dict(config)})
     before = signal.getsignal(signal.SIGTERM)  # Ray's, where tests before used it in this process
     with StopSignals() as stop:
-        controller = Controller(config, run, trainer, curator, reporter, stop=stop)
+        controller = Controller(config, run, Roles(trainer=trainer, curator=curator), reporter, stop=stop)
         controller.restore(resume=False)
         with pytest.raises(StoppedError, match="stopped by SIGTERM after update 3, which is saved"):
             controller.train()
@@ -190,7 +190,7 @@ def test_a_second_signal_ends_at_once():
 
 
 def test_a_signal_sent_twice_at_the_same_time_is_one():
-    """As by timeout(1), which sends it to the process and to its group."""
+    """timeout(1) sends a signal to the process and to its group."""
     process = _slow(1.5, "update")
     process.send_signal(signal.SIGTERM)
     time.sleep(0.02)

@@ -23,7 +23,7 @@ from kinetix_dist.level.generator_config import LOCOMOTION_FAMILIES, GeneratorCo
 from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import FAMILY_WEIGHTS, recipe
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.processes.local import LocalBackend
 from tests.helpers import REPOSITORY, python_path
@@ -90,7 +90,7 @@ def test_a_run_directory_that_cannot_be_written(capsys, tmp_path):
 
 
 def test_a_run_directory_without_a_name(capsys):
-    """As an unset variable gives."""
+    """An unset variable gives an empty name."""
     for name in ("", "."):
         assert "--run is empty or the current directory" in _refusal(capsys, "--recipe", "tiny", "--run", name)
 
@@ -479,7 +479,7 @@ def test_a_checkpoint_of_such_a_version_is_not_resumed_but_can_be_played(tmp_pat
     config = recipe("tiny")
     description = {"config": _old(to_dict(config)), "config_hash": "0", "training_seconds": 1.0}
     save_checkpoint(run.checkpoints, 2, {"a": np.zeros(1)}, description, keep=1)
-    controller = Controller(config, run, ColocatedTrainer(config, LocalBackend(), []), None, QuietReporter())
+    controller = Controller(config, run, Roles(trainer=ColocatedTrainer(config, LocalBackend(), [])), QuietReporter())
     with pytest.raises(CheckpointError, match=r"00000002 cannot be resumed: .* names the solver preset"):
         controller.restore(resume=True)
     run.close()
@@ -515,7 +515,7 @@ def test_the_command_keeps_off_gpus_before_it_reads_levels(options, tmp_path):
     code = (
         "import sys, jax\n"
         "from kinetix_dist.cli import main, train\n"
-        "from kinetix_dist.cli.errors import UserError\n"
+        "from kinetix_dist.errors import UserError\n"
         "def stop(config):\n"
         "    raise UserError(f'platforms {jax.config.jax_platforms}')\n"
         "train._check_levels = stop\n"

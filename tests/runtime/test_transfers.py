@@ -19,7 +19,7 @@ from tests.runtime.split_program import split_config
 
 
 def _batch(first, last, num_steps=3):
-    """Of worlds `first` to `last`, each of whose numbers says which world it is."""
+    """Batch of worlds `first` to `last`, each of whose numbers says which world it is."""
     world = np.arange(first, last, dtype=np.float32)
     step = world + 100 * np.arange(num_steps, dtype=np.float32)[:, None]
     fields = {field.name: step for field in dataclasses.fields(Trajectory)}
@@ -46,7 +46,7 @@ def test_parts_that_come_in_any_order_lie_on_the_devices_in_that_of_their_worlds
 
 
 def test_a_learner_fetches_only_parts_that_hold_its_worlds():
-    """As the second of two learners: parts 0 and 1 of four are the other one's."""
+    """Second of two learners: parts 0 and 1 of four belong to the other."""
     config, mesh = split_config(num_rollout_actors=4), data_mesh(jax.devices()[:1])
     staging = Staging(config, mesh, Division(config.num_blocks, 1))
     half = config.rollout.num_envs // 2

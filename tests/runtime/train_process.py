@@ -69,7 +69,7 @@ def wait_for(
 
 
 def _last_words(process: subprocess.Popen[str]) -> str:
-    """Of a run that is ended for it."""
+    """Last output of a run that is ended for it."""
     process.kill()
     said, errors = process.communicate()
     return f"{said[-300:]} {errors[-1000:]}"

@@ -1,4 +1,4 @@
-"""One engine worker for all tests of this directory that do not end it."""
+"""Engine worker shared by all tests of this directory that do not end it."""
 
 from __future__ import annotations
 

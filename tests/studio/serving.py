@@ -30,11 +30,11 @@ class Server:
         assert match, lines
         self.port, self.token, self.address = int(match[1]), match[2], match[0]
         self.cookie = ""
-        status, headers, _ = self.ask(f"/?token={self.token}")
+        status, headers, _ = self.request(f"/?token={self.token}")
         assert status == 200
         self.cookie = headers["Set-Cookie"].split(";")[0]
 
-    def ask(
+    def request(
         self, path: str, *, method: str = "GET", headers: dict[str, str] | None = None, body: bytes | None = None
     ) -> tuple[int, dict[str, str], bytes]:
         """Status, headers, content. The path goes out as it is, with its dots."""
@@ -48,13 +48,13 @@ class Server:
             connection.close()
 
     def json(self, path: str) -> Any:
-        status, _, content = self.ask(path)
+        status, _, content = self.request(path)
         found = json.loads(content)
         assert status == 200, found
         return found
 
     def error(self, path: str) -> tuple[int, str]:
-        status, _, content = self.ask(path)
+        status, _, content = self.request(path)
         assert status >= 400
         return status, json.loads(content)["error"]
 

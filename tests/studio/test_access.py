@@ -1,4 +1,4 @@
-"""Who gets an answer: the token, the cookie, Host, Origin; and what every answer says to a browser."""
+"""Access by token, cookie, Host and Origin, and the headers of every response."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 
 
 def without_cookie(server: Server, path: str, **headers: str) -> tuple[int, dict[str, str], str]:
-    status, answered, content = server.ask(path, headers={"Cookie": "", **headers})
+    status, answered, content = server.request(path, headers={"Cookie": "", **headers})
     return status, answered, content.decode()
 
 
@@ -45,17 +45,17 @@ def test_nothing_is_answered_without_it(server: Server, path: str) -> None:
 
 @pytest.mark.parametrize("path", ["/favicon.ico", "/static/icon.svg"])
 def test_everybody_gets_the_icon(server: Server, path: str) -> None:
-    """A browser asks for it with every page, also with the one that says that there is no access."""
-    status, headers, content = server.ask(path, headers={"Cookie": ""})
+    """Browsers request it with every page, also with the one that refuses access."""
+    status, headers, content = server.request(path, headers={"Cookie": ""})
     assert status == 200 and headers["Content-Type"].startswith("image/") and 0 < len(content) < 2000
 
 
 def test_every_page_links_its_icon(server: Server) -> None:
     """Relative to the page, so that it is found below the prefix of a proxy."""
     for page in (f"/?token={server.token}", "/"):
-        content = server.ask(page)[2].decode()
+        content = server.request(page)[2].decode()
         assert '<link rel="icon" href="static/icon.svg" type="image/svg+xml" />' in content, page
-    with Image.open(io.BytesIO(server.ask("/rerun/favicon.ico")[2])) as icon:
+    with Image.open(io.BytesIO(server.request("/rerun/favicon.ico")[2])) as icon:
         assert icon.format == "ICO" and {(16, 16), (32, 32)} <= icon.info["sizes"]
 
 
@@ -76,27 +76,27 @@ def test_the_cookie_of_another_port_is_of_no_use(server: Server) -> None:
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:8650", "127.0.0.1.evil.example", "", "[::1", "::"])
 def test_a_foreign_host_is_refused_with_the_cookie_too(server: Server, host: str) -> None:
-    assert server.ask("/api/runs", headers={"Host": host})[0] in (400, 403)
+    assert server.request("/api/runs", headers={"Host": host})[0] in (400, 403)
 
 
 def test_a_foreign_origin_is_refused(server: Server) -> None:
     own = f"http://127.0.0.1:{server.port}"
-    assert server.ask("/api/runs", headers={"Origin": own})[0] == 200
+    assert server.request("/api/runs", headers={"Origin": own})[0] == 200
     for origin in ("http://evil.example", "null", f"http://127.0.0.1:{server.port + 1}", "http://localhost"):
-        assert server.ask("/api/runs", headers={"Origin": origin})[0] == 403, origin
+        assert server.request("/api/runs", headers={"Origin": origin})[0] == 403, origin
 
 
 def test_other_names_are_allowed_when_they_are_given() -> None:
     access = Access(port=1, host="127.0.0.1", allowed_hosts=["Proxy.Example"])
-    assert access.refusal_of_place("proxy.example", "https://proxy.example:8443") is None
-    assert access.refusal_of_place("127.0.0.1:1", "https://proxy.example") is None, "a proxy may change Host"
-    refusal = access.refusal_of_place("other.example:1", None)
+    assert access.refusal_of_origin("proxy.example", "https://proxy.example:8443") is None
+    assert access.refusal_of_origin("127.0.0.1:1", "https://proxy.example") is None, "a proxy may change Host"
+    refusal = access.refusal_of_origin("other.example:1", None)
     assert refusal is not None and "--allow-host other.example" in refusal
 
 
 def test_every_answer_carries_the_policy(server: Server) -> None:
     for path in ("/", "/api/runs", "/static/app.js", "/nothing", "/api/runs/none"):
-        _, headers, _ = server.ask(path)
+        _, headers, _ = server.request(path)
         policy = headers["Content-Security-Policy"]
         assert "default-src 'none'" in policy and "connect-src 'self'" in policy and "unsafe" not in policy
         assert headers["X-Content-Type-Options"] == "nosniff"
@@ -112,8 +112,8 @@ def test_it_listens_on_loopback_alone(server: Server) -> None:
 def test_the_token_is_in_no_output_but_the_address(tmp_path: Path) -> None:
     write_run(tmp_path / "a")
     with serving(tmp_path) as server:
-        server.ask(f"/?token={server.token}")
-        server.ask(f"/api/runs/none?token={server.token}")
+        server.request(f"/?token={server.token}")
+        server.request(f"/api/runs/none?token={server.token}")
         assert "".join(server.lines).count(server.token) == 1
         output = end(server.process)
         assert isinstance(server.process, subprocess.Popen) and server.process.returncode == 0

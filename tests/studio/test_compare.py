@@ -10,7 +10,7 @@ from kinetix_dist.studio.runs.compare import config_differences, group_by, group
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 7, 8, 100])
 def test_the_interquartile_mean_is_the_mean_of_the_middle_half(n: int) -> None:
-    """Each value four times: then a quarter of them is a whole number, and scipy's trimmed mean is exact."""
+    """Repeats each value four times: then a quarter of them is a whole number, and scipy's trimmed mean is exact."""
     from scipy.stats import trim_mean
 
     values = np.random.default_rng(n).normal(size=n)

@@ -1,4 +1,4 @@
-"""What an editor is told of a document: all problems, what is odd about the start, what there is and what fits in."""
+"""Checks of a document for an editor: all problems, warnings about the start, facts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.level.kinetix_format import export_kinetix, import_kinetix
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import level_from_json
 from kinetix_dist.level.start_warnings import noop_warning, start_warnings
 from kinetix_dist.studio.worker.document_check import check_document
@@ -21,7 +21,7 @@ DESIGNED = sorted(levels_root().glob("[sml]/*.json"))
 
 
 def level_document() -> dict[str, Any]:
-    """A box with a thruster, an arm on a hinge and a ball, nothing odd."""
+    """A box with a thruster, an arm on a joint and a ball, nothing odd."""
     return {
         "format": "kinetix-dist-level",
         "version": 1,
@@ -221,7 +221,7 @@ def test_solved_by_doing_nothing() -> None:
 def test_facts_are_those_of_formulas() -> None:
     facts = check_document(level_document()).facts
     assert facts["counts"] == {"polygons": 2, "circles": 1, "joints": 1, "thrusters": 1}
-    assert facts["room"] == {"polygons": 0, "circles": 2, "joints": 1, "thrusters": 1}
+    assert facts["free"] == {"polygons": 0, "circles": 2, "joints": 1, "thrusters": 1}
     assert facts["masses"]["shapes[0]"] == pytest.approx(0.5)
     assert facts["masses"]["shapes[1]"] == pytest.approx(math.pi * 0.09)
     assert facts["masses"]["shapes[2]"] == pytest.approx(0.12)
@@ -247,7 +247,7 @@ def test_a_document_with_a_thousand_things_is_refused_at_once() -> None:
 
 
 def test_random_damage_never_breaks_the_check() -> None:
-    """What has no problems can be read; what has some cannot. Any field with any value."""
+    """Documents without problems can be read, others cannot, with any value in any field."""
     draws = np.random.default_rng(0)
     values = [None, True, -1, 0, 1e300, math.nan, "", "box", "floor", [], [1], [0.0, 0.0], {}, {"a": 1}, [[0, 0]] * 5]
     for _ in range(300):

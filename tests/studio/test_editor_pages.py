@@ -31,12 +31,12 @@ def server(levels: Path) -> Iterator[Server]:
 
 def save(server: Server, name: str, body: bytes, **headers: str) -> tuple[int, dict]:
     named = {key.replace("_", "-"): value for key, value in headers.items()}
-    status, _, content = server.ask(f"/api/files/{name}", method="PUT", headers=named, body=body)
+    status, _, content = server.request(f"/api/files/{name}", method="PUT", headers=named, body=body)
     return status, json.loads(content)
 
 
 def test_the_address_leads_to_the_editor(server: Server) -> None:
-    assert b'url=./#/edit"' in server.ask(f"/?token={server.token}")[2]
+    assert b'url=./#/edit"' in server.request(f"/?token={server.token}")[2]
     about = server.json("/api/levels")
     assert about["opens"] is None and about["files"]["only"] is None
     assert {"designed_s", "all_designed_l"} <= {entry["name"] for entry in about["sets"]}

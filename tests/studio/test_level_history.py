@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinetix_dist.studio.runs.level_history import level_history
 from kinetix_dist.studio.runs.refreshes import Refreshes
+from kinetix_dist.studio.runs.snapshot_levels import level_history
 from kinetix_dist.telemetry.curriculum_log import BUFFER, DIRECTORY, OUTCOMES, write_snapshot
 from kinetix_dist.telemetry.json_lines import append_line
 from tests.studio.test_refreshes import window, write_refresh

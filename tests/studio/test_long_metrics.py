@@ -60,7 +60,7 @@ def test_the_table_is_that_of_reading_line_by_line(tmp_path: Path, monkeypatch: 
 
 
 def test_pieces_end_at_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where one line is longer than a piece."""
+    """Pieces end at lines, also where one line is longer than a piece."""
     long = json.dumps({"update": 1000, "text": "x" * 5000})
     write(tmp_path, [*FILES["plain"], long, json.dumps({"update": 1001, "a": 2.0})])
     file = tmp_path / "metrics" / "metrics.jsonl"

@@ -1,4 +1,4 @@
-"""Files of a run with numbers that JSON does not have, or of wrong types: that run says so, others are unaffected."""
+"""Files of a run with numbers that JSON does not have, or of wrong types: that run reports it, others do not."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 from aiohttp import web
 from aiohttp.test_utils import make_mocked_request
 
-from kinetix_dist.studio.server.answers import json_response
-from kinetix_dist.studio.server.app import _errors_are_lines
+from kinetix_dist.studio.server.app import one_line_errors
+from kinetix_dist.studio.server.responses import json_response
 from kinetix_dist.telemetry.status import StatusError, read_status
 from tests.studio.runs_for_tests import write_run
 from tests.studio.serving import Server, serving
@@ -27,7 +27,7 @@ EVALUATION = '{"phase": "after", "update": 20, "env_steps": %s, "sets": {"s": {"
 OUTCOMES = '{"format": 1, "from_update": 1, "update": 3, "buffer": 0, "solved": [%s], "finished": [2], "sources": %s}\n'
 PROCESS = '{"time": "2026-01-31T12:00:00Z", "update": %s, "processes": [{"name": "w", "pid": 1, "busy": %s}]}\n'
 
-# name of the run: (file, what is added to it, in the line that says so)
+# name of the run: (file, what is added to it, in the line that reports it)
 DAMAGED = {
     "nan": ("metrics/metrics.jsonl", '{"update": 21, "train/solve_rate": NaN}\n', "train/solve_rate is nan"),
     "overflow": ("metrics/metrics.jsonl", '{"update": 21, "learner/entropy": 1e999}\n', "learner/entropy is inf"),
@@ -72,7 +72,7 @@ def _refuse(constant: str) -> None:
 
 
 def _answer(server: Server, path: str) -> Any:
-    status, _, body = server.ask(path)
+    status, _, body = server.request(path)
     found = json.loads(body, parse_constant=_refuse)
     assert status == 200 or (status < 500 and found["error"]), (path, status, body)
     return found
@@ -111,7 +111,7 @@ def test_a_mistake_of_the_server_is_a_line_too(caplog: pytest.LogCaptureFixture)
         return json_response({"rate": float("nan")})
 
     request = make_mocked_request("GET", "/api/runs")
-    answer = asyncio.run(_errors_are_lines(request, handler))
+    answer = asyncio.run(one_line_errors(request, handler))
     assert isinstance(answer, web.Response) and answer.status == 500 and isinstance(answer.body, bytes)
     assert json.loads(answer.body)["error"].startswith("a mistake of the server (ValueError: Out of range float")
     assert "Traceback" in caplog.text and "/api/runs" in caplog.text

@@ -1,4 +1,4 @@
-"""The thread that writes: order is kept, replies are never lost, a slow client loses frames and nothing else."""
+"""Writing thread: messages stay in order, replies are never lost, a slow client loses frames and nothing else."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import threading
 import time
 from typing import IO
 
-from kinetix_dist.studio.worker.outbox import Outbox
-from kinetix_dist.studio.worker.wire import Message, read
+from kinetix_dist.studio.worker.wire import Message, Outbox, read
 
 LARGE = bytes(1 << 20)  # a pipe holds 64 kB
 
@@ -46,7 +45,7 @@ def test_a_slow_client_gets_all_replies_in_order_and_the_newest_frames() -> None
     for session in (1, 2):
         steps = [frame[1] for frame in frames if frame[0] == session]
         assert steps == sorted(steps) and steps[-1] == 99
-    # Before what a session has to say comes the frame that it is about.
+    # A message of a session follows the frame that it is about.
     kinds = [(message.content["type"], message.body[1:2], message.content.get("step")) for message in messages]
     for step in (25, 75):
         assert kinds.index(("frame", bytes([step]), None)) + 1 == kinds.index(("play.end", b"", step))
@@ -68,7 +67,7 @@ def test_frames_of_a_closed_session_are_forgotten() -> None:
     outbox.send({"type": "reply", "id": 0}, LARGE)
     time.sleep(0.1)
     outbox.send_frame(1, b"x")
-    outbox.forget(1)
+    outbox.discard_frames(1)
     closing = threading.Thread(target=lambda: (outbox.close(10), writing.close()))
     closing.start()
     assert [message.content["type"] for message in read_all(reading)] == ["reply"]

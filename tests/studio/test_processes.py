@@ -1,4 +1,4 @@
-"""Who ran where, against lines as training writes them (docs/run_data.md): one process lost, one gone."""
+"""Processes of a run, against lines as training writes them (docs/run_data.md): one process lost, one gone."""
 
 from __future__ import annotations
 

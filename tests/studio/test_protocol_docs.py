@@ -6,9 +6,9 @@ import pytest
 
 from jax2d.display_list import KINDS
 from kinetix_dist.studio.worker import frames, play_requests, process, session_loop, wire
-from kinetix_dist.studio.worker.actors import ENV_FIELDS
-from kinetix_dist.studio.worker.outbox import Outbox
+from kinetix_dist.studio.worker.request import ENV_FIELDS
 from kinetix_dist.studio.worker.service import MAX_WAITING, Service
+from kinetix_dist.studio.worker.wire import Outbox
 from tests.helpers import REPOSITORY
 
 TEXT = (REPOSITORY / "docs" / "play_protocol.md").read_text()

@@ -1,4 +1,4 @@
-"""What a refresh kept and what became of it, against counts by hand and plain loops over made-up levels."""
+"""Summaries of refreshes and of training, against counts by hand and plain loops over made-up levels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from kinetix_dist.evaluation.learnability import plug_in_learnability
-from kinetix_dist.studio.runs.levels import LevelQueryError, level_page
 from kinetix_dist.studio.runs.refreshes import (
     Refreshes,
     counts_table,
@@ -17,6 +16,7 @@ from kinetix_dist.studio.runs.refreshes import (
     rates_by_feature,
     training_plays,
 )
+from kinetix_dist.studio.runs.snapshot_levels import LevelQueryError, level_page
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, OUTCOMES, REFRESH, write_snapshot
 from kinetix_dist.telemetry.json_lines import append_line
 
@@ -30,13 +30,13 @@ def write_refresh(run: Path, version: int, chance: np.random.Generator, *, probe
     solved = chance.binomial(finished, 0.5).astype(np.int32)
     features = chance.integers(0, 3, (NUM_CANDIDATES, 2)).astype(np.uint8)
     score = plug_in_learnability(solved, finished).astype(np.float32)
-    kept = np.argsort(-score, kind="stable")[:8]
+    chosen = np.argsort(-score, kind="stable")[:8]
     arrays = {
         "curriculum": np.str_("sfl"), "size": np.str_("s"), "policy_version": np.int32(version),
         "written_after": np.int32(version + 2), "first_batch": np.int32(version + 2),
-        "scoring_seconds": np.float64(1.5), "level_id": (1000 * version + kept).astype(np.uint64),
-        "score": score[kept], "features": features[kept], "feature_names": np.array(FEATURES),
-        "candidate": kept.astype(np.int32), "solved": solved[kept], "finished": finished[kept],
+        "scoring_seconds": np.float64(1.5), "level_id": (1000 * version + chosen).astype(np.uint64),
+        "score": score[chosen], "features": features[chosen], "feature_names": np.array(FEATURES),
+        "candidate": chosen.astype(np.int32), "solved": solved[chosen], "finished": finished[chosen],
         "candidates/solved": solved, "candidates/finished": finished, "candidates/features": features,
         "levels/position": chance.normal(size=(8, 3)),
     }  # fmt: skip
@@ -115,15 +115,15 @@ def test_rates_of_scored_levels_are_means_over_levels_not_of_all_their_episodes(
 
 
 def test_what_is_not_played_is_not_claimed_and_what_is_played_twice_counts_once(tmp_path: Path) -> None:
-    kept = write_refresh(tmp_path, 0, np.random.default_rng(0))
-    write_snapshot(tmp_path / DIRECTORY, REFRESH, 0, kept | {"in_play": np.int32(2)})
+    arrays = write_refresh(tmp_path, 0, np.random.default_rng(0))
+    write_snapshot(tmp_path / DIRECTORY, REFRESH, 0, arrays | {"in_play": np.int32(2)})
     twice = {"index": [0, 0, 1, 1], "solved": [4, 4, 1, 1], "finished": [4] * 4}
     probe = {f"probe/{name}": np.array(values, np.int32) for name, values in twice.items()}
     arrays = write_refresh(tmp_path, 16, np.random.default_rng(1), probe_of=0)
     write_snapshot(tmp_path / DIRECTORY, REFRESH, 16, arrays | probe)
     first, _ = Refreshes(tmp_path).summaries()["snapshots"]
     assert first["buffer"]["levels"] == 2
-    claimed = plug_in_learnability(kept["solved"][:2], kept["finished"][:2]).mean()
+    claimed = plug_in_learnability(arrays["solved"][:2], arrays["finished"][:2]).mean()
     assert first["buffer"]["claimed"] == pytest.approx(claimed)
     assert first["probe"]["levels"] == 2
     assert (first["probe"]["after"]["solved"], first["probe"]["after"]["episodes"]) == (5, 8)
@@ -141,7 +141,7 @@ def test_a_run_is_summed_up_with_counts(run: Path) -> None:
     assert first["probe"]["after"]["solved"] == 6 and first["probe"]["levels"] == 3
     assert sum(levels for _, _, levels in first["probe"]["moves"]) == 3
     assert "training" not in second and "probe" not in second
-    assert second["kept"] == 0, "plain SFL draws all levels afresh"
+    assert second["retained"] == 0, "plain SFL draws all levels afresh"
     assert found["windows"][0]["sources"]["buffer"]["episodes"] == 16
     assert found["windows"][0]["sources"]["fresh"]["rate"] == 0.3
 

@@ -92,32 +92,32 @@ def test_wrong_requests_get_one_line(server: Server, path: str, status: int, tex
     "path", ["/static/../app.py", "/static/..%2fapp.py", "/static/%2e%2e/app.py", "/static//etc/passwd", "/../x"]
 )
 def test_no_file_is_served_but_those_of_the_pages(server: Server, path: str) -> None:
-    assert server.ask(path)[0] == 404
+    assert server.request(path)[0] == 404
 
 
 def test_files_are_compressed_and_asked_for_once(server: Server) -> None:
-    status, headers, content = server.ask("/static/app.js", headers={"Accept-Encoding": "gzip"})
-    plain = server.ask("/static/app.js")[2]
+    status, headers, content = server.request("/static/app.js", headers={"Accept-Encoding": "gzip"})
+    plain = server.request("/static/app.js")[2]
     assert status == 200 and headers["Content-Encoding"] == "gzip" and gzip.decompress(content) == plain
-    assert server.ask("/static/app.js", headers={"If-None-Match": headers["ETag"]})[0] == 304
-    _, headers, _ = server.ask("/api/runs", headers={"Accept-Encoding": "gzip"})
+    assert server.request("/static/app.js", headers={"If-None-Match": headers["ETag"]})[0] == 304
+    _, headers, _ = server.request("/api/runs", headers={"Accept-Encoding": "gzip"})
     assert headers["Content-Encoding"] == "gzip"
 
 
-async def hear(server: Server, watch: dict, act, until) -> list[dict]:
+async def messages_of(server: Server, watch: dict, act, until) -> list[dict]:
     """Messages of the channel after `watch`, until one is as wanted; `act` is called when the first rows are there."""
-    heard: list[dict] = []
+    messages: list[dict] = []
     headers = {"Cookie": server.cookie, "Origin": f"http://127.0.0.1:{server.port}"}
     async with aiohttp.ClientSession() as session:
         async with session.ws_connect(f"http://127.0.0.1:{server.port}/channel", headers=headers) as channel:
             await channel.send_json({"type": "hello", "version": 1})
             await channel.send_json({"type": "watch", **watch})
-            while not heard or not until(heard[-1]):
-                heard.append(await asyncio.wait_for(channel.receive_json(), PATIENCE_S))
-                if heard[-1]["type"] == "rows" and act is not None:
+            while not messages or not until(messages[-1]):
+                messages.append(await asyncio.wait_for(channel.receive_json(), PATIENCE_S))
+                if messages[-1]["type"] == "rows" and act is not None:
                     act()
                     act = None
-    return heard
+    return messages
 
 
 def test_a_page_hears_of_new_rows_events_and_of_a_run_that_goes_back(tmp_path: Path) -> None:
@@ -128,25 +128,27 @@ def test_a_page_hears_of_new_rows_events_and_of_a_run_that_goes_back(tmp_path: P
             write_rows(run, 6, 6)
             append_line(run / "events.jsonl", {"time": "2026-01-31T12:01:00Z", "event": "recovered", "update": 6})
 
-        heard = asyncio.run(
-            hear(server, {"run": "a", "since": 3, "revision": 0}, go_on, lambda m: m["type"] == "events")
+        messages = asyncio.run(
+            messages_of(server, {"run": "a", "since": 3, "revision": 0}, go_on, lambda m: m["type"] == "events")
         )
-        rows = [message for message in heard if message["type"] == "rows"]
+        rows = [message for message in messages if message["type"] == "rows"]
         assert [(m["first"], m["columns"]["update"]) for m in rows] == [(3, [4.0, 5.0]), (5, [6.0])]
-        assert heard[-1]["events"][0]["event"] == "recovered"
+        assert messages[-1]["events"][0]["event"] == "recovered"
 
         def go_back() -> None:
             write_rows(run, 3, 4, resume_at=2, **{"learner/approx_kl": 0.5})
 
-        heard = asyncio.run(
-            hear(server, {"run": "a", "since": 0}, go_back, lambda m: m["type"] == "rows" and m["revision"] == 1)
+        messages = asyncio.run(
+            messages_of(server, {"run": "a", "since": 0}, go_back, lambda m: m["type"] == "rows" and m["revision"] == 1)
         )
-        (rewound,) = [message for message in heard if message["type"] == "rewound"]
+        (rewound,) = [message for message in messages if message["type"] == "rewound"]
         assert rewound["to_update"] == 2
-        assert heard[-1]["columns"]["update"] == [3.0, 4.0]
-        # A page that was away has rows of the former state: it is told to forget them.
-        heard = asyncio.run(hear(server, {"run": "a", "since": 6, "revision": 0}, None, lambda m: m["type"] == "rows"))
-        assert [m["type"] for m in heard[1:]] == ["rewound", "rows"] and heard[-1]["first"] == 0
+        assert messages[-1]["columns"]["update"] == [3.0, 4.0]
+        # A page that was away has rows of the former state: `rewound` drops them.
+        messages = asyncio.run(
+            messages_of(server, {"run": "a", "since": 6, "revision": 0}, None, lambda m: m["type"] == "rows")
+        )
+        assert [m["type"] for m in messages[1:]] == ["rewound", "rows"] and messages[-1]["first"] == 0
 
 
 def test_a_page_that_has_nothing_hears_of_new_rows_alone(tmp_path: Path) -> None:
@@ -155,8 +157,8 @@ def test_a_page_that_has_nothing_hears_of_new_rows_alone(tmp_path: Path) -> None
     with serving(run) as server:
         server.json("/api/runs/a")  # the run is read
         write_rows(run, 6, 6)
-        heard = asyncio.run(hear(server, {"run": "a", "since": None}, None, lambda m: m["type"] == "rows"))
-        assert heard[-1]["first"] == 5 and heard[-1]["columns"]["update"] == [6.0]
+        messages = asyncio.run(messages_of(server, {"run": "a", "since": None}, None, lambda m: m["type"] == "rows"))
+        assert messages[-1]["first"] == 5 and messages[-1]["columns"]["update"] == [6.0]
 
 
 @pytest.mark.parametrize(
@@ -230,7 +232,7 @@ def test_a_run_that_has_just_begun_is_found_by_any_page(tmp_path: Path, path: st
     with serving(tmp_path, "--no-play") as server:
         server.json("/api/runs")  # the list was looked at a moment ago
         write_run(tmp_path / "new")
-        status, _, content = server.ask(f"/api/runs/new{path}")
+        status, _, content = server.request(f"/api/runs/new{path}")
         assert b"there is no run" not in content and status in (200, 503), content
 
 
@@ -256,7 +258,7 @@ def test_the_curriculum_of_a_run_has_attempts_and_says_where_an_earlier_version_
 
 def test_the_server_imports_no_jax() -> None:
     code = (
-        "import sys, kinetix_dist.cli.dashboard, kinetix_dist.studio.server.serving\n"
+        "import sys, kinetix_dist.cli.dashboard, kinetix_dist.studio.server.app\n"
         "print([m for m in ('jax', 'jaxlib', 'warp', 'ray', 'orbax', 'flax') if m in sys.modules])"
     )
     done = subprocess.run(
@@ -307,5 +309,5 @@ def test_wrong_arguments_are_one_line_and_status_2(tmp_path: Path, arguments: li
 
 
 def test_answers_are_json_without_nan(server: Server) -> None:
-    content = server.ask("/api/runs/b/series?names=train/solve_rate,learner/entropy&points=10")[2]
+    content = server.request("/api/runs/b/series?names=train/solve_rate,learner/entropy&points=10")[2]
     json.loads(content, parse_constant=lambda name: pytest.fail(name))

@@ -1,4 +1,4 @@
-"""Sessions beside the environment of training: bit for bit, whoever plays, also after seeking and taking over."""
+"""Sessions against the environment of training: bit for bit, for every player, also after seeking and taking over."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import read_proof
 from kinetix_dist.level.schema import load_level, turned_colours_of
 from kinetix_dist.studio.worker import frames, programs
-from kinetix_dist.studio.worker.actors import policy_of
 from kinetix_dist.studio.worker.attempts import Progress, play_attempts, steps_until_noop_solves
 from kinetix_dist.studio.worker.levels import level_of
+from kinetix_dist.studio.worker.request import policy_of
 from kinetix_dist.studio.worker.session import Session
 from kinetix_dist.studio.worker.wire import RequestError
 
@@ -99,7 +99,7 @@ def test_seeking_and_playing_on_gives_the_same_bytes() -> None:
     while session.step():
         again.append(shown(session).poses)
     np.testing.assert_array_equal(again, [frames.decode(one, session.sizes).poses for one in first[half:]])
-    # Taking over at the same place forgets the rest; the same actions give the same bytes.
+    # Taking over at the same step drops later steps; the same actions give the same bytes.
     session.seek(half)
     session.set_actor(session.actor)
     assert session.last == half
@@ -254,7 +254,7 @@ def test_programs_that_were_forgotten_are_compiled_again_and_give_the_same() -> 
     session.set_actor(policy_of("random").actor(CONFIG, level()))
     session.step()
     before = session.frame()
-    programs.forget_programs()
+    programs.release_programs()
     again = Session(1, CONFIG, level(), seed=1)
     again.set_actor(policy_of("random").actor(CONFIG, level()))
     again.step()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 
-from kinetix_dist.studio.server.static_files import STATIC
+from kinetix_dist.studio.server.responses import STATIC
 from tests.helpers import REPOSITORY
 
 VENDOR = STATIC / "vendor"

@@ -1,4 +1,4 @@
-"""Each rule holds where it should, and not beside it."""
+"""Rules hold where they should, and nowhere else."""
 
 from __future__ import annotations
 

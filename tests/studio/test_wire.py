@@ -35,7 +35,7 @@ def test_every_cut_of_a_message_is_the_end_of_the_pipe() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        struct.pack("<I", 2) + b"xx",  # no room for the size of the JSON
+        struct.pack("<I", 2) + b"xx",  # too short for the size of the JSON
         struct.pack("<II", 6, 100) + b"{}",  # longer JSON than there is
         struct.pack("<II", 6, 2) + b"[]",
         struct.pack("<II", 6, 2) + b"{}",  # no type

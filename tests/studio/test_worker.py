@@ -1,4 +1,4 @@
-"""The engine worker as a process: sessions, pictures, snapshots, recordings, and what can be asked wrongly."""
+"""The engine worker as a process: sessions, pictures, snapshots, recordings, and malformed requests."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.installation import data_directory
 from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.level import Level
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import read_proof
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.studio.worker import frames, programs, wire
@@ -56,19 +56,19 @@ def level(name: str = NAME) -> Level:
 
 
 def opened(worker: Client, **fields: Any) -> dict[str, Any]:
-    answer = worker.ask("play.open", **({"level": {"document": document()}} | fields))
+    answer = worker.request("play.open", **({"level": {"document": document()}} | fields))
     worker.others.clear()
     return answer
 
 
 def close(worker: Client, session: dict[str, Any]) -> None:
-    worker.ask("play.close", session=session["session"])
+    worker.request("play.close", session=session["session"])
     worker.others.clear()
 
 
 def refused(worker: Client, kind: str, **fields: Any) -> RequestError:
     with pytest.raises(RequestError) as error:
-        worker.ask(kind, **fields)
+        worker.request(kind, **fields)
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
     return error.value
 
@@ -79,13 +79,13 @@ def refused(worker: Client, kind: str, **fields: Any) -> RequestError:
 def test_keys_of_a_stored_proof_solve_its_level_bit_for_bit(worker: Client) -> None:
     actions = read_proof(levels_root() / "proofs" / f"{NAME}.json").actions
     mine = Session(1, EnvConfig(size="s"), level(), seed=0)
-    session = worker.ask("play.open", level={"document": document()})
+    session = worker.request("play.open", level={"document": document()})
     first = worker.frame(session["sizes"])
     assert first.step == 0
     np.testing.assert_array_equal(first.poses[:, :2], level().position)
     for number, action in enumerate(actions.tolist()):
-        worker.tell("play.input", session=session["session"], seq=number + 1, action=action)
-        state = worker.ask("play.control", session=session["session"], do="step")
+        worker.send_only("play.input", session=session["session"], seq=number + 1, action=action)
+        state = worker.request("play.control", session=session["session"], do="step")
         mine.set_input(action, number + 1)
         mine.step()
         mine.number = session["session"]
@@ -102,8 +102,8 @@ def test_keys_drive_a_level_as_its_file_says_where_the_level_is_turned_round(wor
     bar = document("s/drag_cart")["shapes"][0]["position"][0]
     for action, way in ((1, 1), (2, -1)):
         session = opened(worker, level={"document": document("s/drag_cart")})
-        worker.tell("play.input", session=session["session"], seq=1, action=[action, 0, 0, 0, 0, 0])
-        worker.ask("play.control", session=session["session"], do="step", steps=8)
+        worker.send_only("play.input", session=session["session"], seq=1, action=[action, 0, 0, 0, 0, 0])
+        worker.request("play.control", session=session["session"], do="step", steps=8)
         while (frame := worker.frame(session["sizes"])).step < 8:
             pass
         x = frame.poses[:, 0]
@@ -135,18 +135,18 @@ def test_a_running_session_keeps_time_and_pauses(worker: Client) -> None:
     began = time.monotonic()
     session = opened(worker, env={"max_steps": 10_000}, running=True)
     number = session["session"]
-    while worker.ask("play.control", session=number, do="speed", speed=1)["step"] < 5:
+    while worker.request("play.control", session=number, do="speed", speed=1)["step"] < 5:
         assert time.monotonic() - began < PATIENCE_S
         time.sleep(0.1)
-    state = worker.ask("play.control", session=number, do="pause")
+    state = worker.request("play.control", session=number, do="pause")
     assert state["step"] <= 30 * (time.monotonic() - began) + 1 and not state["running"]
     time.sleep(0.3)
-    assert worker.ask("play.control", session=number, do="pause")["step"] == state["step"]
-    worker.ask("play.control", session=number, do="speed", speed=1 / 64)
+    assert worker.request("play.control", session=number, do="pause")["step"] == state["step"]
+    worker.request("play.control", session=number, do="speed", speed=1 / 64)
     began = time.monotonic()
-    worker.ask("play.control", session=number, do="run")
+    worker.request("play.control", session=number, do="run")
     time.sleep(0.5)
-    slow = worker.ask("play.control", session=number, do="pause")["step"] - state["step"]
+    slow = worker.request("play.control", session=number, do="pause")["step"] - state["step"]
     assert slow <= 30 / 64 * (time.monotonic() - began) + 1
     steps = [frames.HEADER.unpack_from(m.body)[3] for m in worker.others if m.content["type"] == "frame"]
     assert steps == sorted(steps)
@@ -156,20 +156,20 @@ def test_a_running_session_keeps_time_and_pauses(worker: Client) -> None:
 def test_seek_step_reset_and_take_over(worker: Client) -> None:
     session = opened(worker, policy="random", seed=3)
     number = session["session"]
-    ask = lambda do, **fields: worker.ask("play.control", session=number, do=do, **fields)  # noqa: E731
-    assert ask("step", steps=20)["step"] == 20
-    sought = ask("seek", step=5)
+    control = lambda do, **fields: worker.request("play.control", session=number, do=do, **fields)  # noqa: E731
+    assert control("step", steps=20)["step"] == 20
+    sought = control("seek", step=5)
     assert (sought["step"], sought["last"], sought["running"]) == (5, 20, False)
-    assert ask("step")["step"] == 6 and ask("step")["last"] == 20
-    taken = ask("take_over")
+    assert control("step")["step"] == 6 and control("step")["last"] == 20
+    taken = control("take_over")
     assert (taken["step"], taken["last"], taken["policy"]) == (7, 7, {"kind": "keys"})
-    taken = ask("take_over", policy={"checkpoint": "generalist"})
+    taken = control("take_over", policy={"checkpoint": "generalist"})
     assert taken["policy"]["num_updates"] > 0 and taken["sizes"]["outputs"] == 16
     worker.others.clear()
-    ask("step")
+    control("step")
     frame = worker.frame(taken["sizes"])
     assert frame.step == 8 and np.isfinite(frame.value)
-    assert ask("reset")["last"] == 0
+    assert control("reset")["last"] == 0
     close(worker, session)
 
 
@@ -183,14 +183,14 @@ def test_four_sessions_at_once_and_no_fifth(worker: Client) -> None:
 
 def test_a_slow_client_loses_frames_but_neither_order_nor_replies(tmp_path: Path) -> None:
     client = Client(log=tmp_path / "log")
-    answer = client.ask("play.open", level={"document": document("l/walker")}, env={"max_steps": 100_000})
+    answer = client.request("play.open", level={"document": document("l/walker")}, env={"max_steps": 100_000})
     number = answer["session"]
-    client.ask("play.control", session=number, do="speed", speed=8.0)
-    client.ask("play.control", session=number, do="run")
+    client.request("play.control", session=number, do="speed", speed=8.0)
+    client.request("play.control", session=number, do="run")
     client.hold()
-    client.tell("play.control", id=10_000, session=number, do="run")  # its answer wakes the reader a last time
+    client.send_only("play.control", id=10_000, session=number, do="run")  # its answer wakes the reader a last time
     time.sleep(4.0)  # 240 steps of 276 bytes a second: more than the pipe holds
-    client.tell("play.control", id=10_001, session=number, do="pause")
+    client.send_only("play.control", id=10_001, session=number, do="pause")
     time.sleep(0.5)
     client.read_on()
     state = client.wait(10_001).content
@@ -215,52 +215,52 @@ def write_snapshot(run: Path, levels: Level, *, thinned: bool = False) -> None:
 
 def test_a_level_of_a_snapshot_is_played_from_its_own_arrays(worker: Client, tmp_path: Path) -> None:
     one = level()
-    # An angle that no document gives: an ulp beside what is derived again.
+    # An angle that no document gives: one ulp off what is derived again.
     turned = dataclasses.replace(one, angle=np.nextafter(one.angle, np.float32(1)))
     write_snapshot(tmp_path, stack_worlds([one, turned]))
     given = {"run": str(tmp_path), "refresh": 128, "index": 1}
-    session = worker.ask("play.open", level=given, policy="random", seed=2)
+    session = worker.request("play.open", level=given, policy="random", seed=2)
     np.testing.assert_array_equal(worker.frame(session["sizes"]).poses[:, 2], turned.angle)
     env = programs.environment(EnvConfig(size="s"))
     player = Player(RandomPolicy(env.action_space))
     (rollout,) = record_rollouts(env, player, stack_worlds([turned]), jax.random.key(2))
-    worker.ask("play.control", session=session["session"], do="step", steps=20)
+    worker.request("play.control", session=session["session"], do="step", steps=20)
     np.testing.assert_array_equal(worker.frame(session["sizes"]).poses[:, :2], rollout.position[20])
     close(worker, session)
     answer = worker.wait(worker.send("thumbnails", run=str(tmp_path), refresh=128, indices=[1, 0, 1]))
     entries = json.loads(answer.body)
     assert [entry["index"] for entry in entries] == [1, 0, 1] and answer.content["count"] == 3
-    assert entries[1]["display"] == worker.ask("display", level={"document": document()})["display"]
-    assert worker.ask("document", level=given)["document"]["size"] == "s"
+    assert entries[1]["display"] == worker.request("display", level={"document": document()})["display"]
+    assert worker.request("document", level=given)["document"]["size"] == "s"
 
 
 def test_snapshots_that_cannot_be_read_are_one_line(worker: Client, tmp_path: Path) -> None:
-    def ask(run: Path, **given: Any) -> RequestError:
+    def error_of(run: Path, **given: Any) -> RequestError:
         return refused(worker, "display", level={"run": str(run), "refresh": 128, "index": 0} | given)
 
-    assert ask(tmp_path / "none").code == wire.NOT_FOUND
+    assert error_of(tmp_path / "none").code == wire.NOT_FOUND
     write_snapshot(tmp_path / "thin", stack_worlds([level()]), thinned=True)
-    assert "holds no levels" in str(ask(tmp_path / "thin"))
+    assert "holds no levels" in str(error_of(tmp_path / "thin"))
     answer = worker.wait(worker.send("thumbnails", run=str(tmp_path / "thin"), refresh=128, indices=[0]))
     assert answer.body == b"[]" and answer.content["count"] == 0
     write_snapshot(tmp_path / "whole", stack_worlds([level()]))
-    assert "0 to 0" in str(ask(tmp_path / "whole", index=1))
+    assert "0 to 0" in str(error_of(tmp_path / "whole", index=1))
     file = tmp_path / "whole" / "curriculum" / "refresh_00000128.npz"
     data = file.read_bytes()
     for damaged in (b"", b"garbage", data[: len(data) // 2], data[:300] + bytes(50) + data[350:]):
         file.write_bytes(damaged)
-        assert ask(tmp_path / "whole").code in (wire.NOT_FOUND, wire.BAD_REQUEST)
+        assert error_of(tmp_path / "whole").code in (wire.NOT_FOUND, wire.BAD_REQUEST)
     draws = np.random.default_rng(0)
     for _ in range(40):
         flipped = bytearray(data)
         flipped[int(draws.integers(len(data)))] ^= 1 << int(draws.integers(8))
         file.write_bytes(flipped)
         try:
-            worker.ask("display", level={"run": str(tmp_path / "whole"), "refresh": 128, "index": 0})
+            worker.request("display", level={"run": str(tmp_path / "whole"), "refresh": 128, "index": 0})
         except RequestError as error:
             assert error.code in (wire.NOT_FOUND, wire.BAD_REQUEST), error
     file.write_bytes(data)
-    assert worker.ask("display", level={"run": str(tmp_path / "whole"), "refresh": 128, "index": 0})["size"] == "s"
+    assert worker.request("display", level={"run": str(tmp_path / "whole"), "refresh": 128, "index": 0})["size"] == "s"
 
 
 @pytest.fixture(scope="module")
@@ -279,7 +279,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_recordings_are_shown_as_they_are_stored(worker: Client, recording: Path) -> None:
     from kinetix_dist.evaluation.recordings import read_rollouts
 
-    listed = worker.ask("recordings", file=str(recording))
+    listed = worker.request("recordings", file=str(recording))
     assert [rollout["name"] for rollout in listed["rollouts"]] == ["hop", "kick"] and not listed["problems"]
     stored = read_rollouts(recording).rollouts[1]
     message = worker.wait(worker.send("recording", file=str(recording), index=1))
@@ -295,7 +295,7 @@ def test_recordings_are_shown_as_they_are_stored(worker: Client, recording: Path
         np.testing.assert_array_equal(arrays[name], getattr(stored, name))
     assert message.content["outcome"] == stored.outcome
     # Taking over in the middle simulates anew, from the state that was stored.
-    session = worker.ask("play.open", level={"recording": str(recording), "index": 1, "step": 10})
+    session = worker.request("play.open", level={"recording": str(recording), "index": 1, "step": 10})
     np.testing.assert_array_equal(worker.frame(session["sizes"]).poses[:, :2], stored.position[10])
     assert not session["exact"]
     close(worker, session)
@@ -307,7 +307,7 @@ def test_damaged_recordings_are_one_line(worker: Client, recording: Path, tmp_pa
     assert "no MCAP file" in str(refused(worker, "recordings", file=str(tmp_path / "b.mcap")))
     data = recording.read_bytes()
     (tmp_path / "c.mcap").write_bytes(data[: len(data) * 3 // 4])
-    cut = worker.ask("recordings", file=str(tmp_path / "c.mcap"))
+    cut = worker.request("recordings", file=str(tmp_path / "c.mcap"))
     assert len(cut["problems"]) == 1 and "\n" not in cut["problems"][0]
     assert refused(worker, "recording", file=str(recording), index=2).code == wire.NOT_FOUND
     level_at = {"recording": str(recording), "index": 0, "step": 10_000}
@@ -326,11 +326,11 @@ def make_run(path: Path, *updates: int) -> Path:
 def test_the_newest_good_checkpoint_of_a_run_plays(worker: Client, tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", 10, 20)
     session = opened(worker, policy={"run": str(run)})
-    assert session["policy"]["path"].endswith("00000020") and not session["policy"]["passed_over"]
+    assert session["policy"]["path"].endswith("00000020") and not session["policy"]["skipped"]
     close(worker, session)
     (run / "checkpoints" / "00000020" / "checkpoint.json").write_text("{}")
     session = opened(worker, policy={"run": str(run)})
-    assert session["policy"]["path"].endswith("00000010") and len(session["policy"]["passed_over"]) == 1
+    assert session["policy"]["path"].endswith("00000010") and len(session["policy"]["skipped"]) == 1
     close(worker, session)
     shutil.rmtree(run / "checkpoints")
     assert "no checkpoint" in str(
@@ -339,7 +339,7 @@ def test_the_newest_good_checkpoint_of_a_run_plays(worker: Client, tmp_path: Pat
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.05, 0.2])
-def test_a_checkpoint_that_is_pruned_while_it_is_read_is_passed_over(
+def test_a_checkpoint_that_is_pruned_while_it_is_read_is_skipped(
     worker: Client, tmp_path: Path, seconds: float
 ) -> None:
     run = make_run(tmp_path / "run", 10, 20)
@@ -366,22 +366,22 @@ def test_attempts_report_progress_and_end_when_cancelled(worker: Client) -> None
     while not any(p["stage"] == "playing" for p in worker.progress.get(running, ())):
         worker.take()
     # Sessions and checks go on meanwhile.
-    assert worker.ask("check", document=document(), play=False)["problems"] == []
+    assert worker.request("check", document=document(), play=False)["problems"] == []
     for request in (waiting, running):
-        worker.tell("cancel", id=request)
+        worker.send_only("cancel", id=request)
     for request in (running, waiting):
         with pytest.raises(RequestError) as error:
             worker.wait(request, seconds=30)
         assert error.value.code == wire.CANCELLED
-    worker.tell("cancel", id=running)  # of what has ended: nothing
-    worker.tell("cancel", id="x")
+    worker.send_only("cancel", id=running)  # of what has ended: nothing
+    worker.send_only("cancel", id="x")
 
 
-# What an editor asks
+# Requests of an editor
 
 
 def test_a_check_gives_all_problems_or_warnings_facts_and_a_picture(worker: Client) -> None:
-    good = worker.ask("check", document=document())
+    good = worker.request("check", document=document())
     assert good["problems"] == [] and good["warnings"] == [] and good["facts"]["noop_solved_at"] is None
     assert good["display"]["primitives"] and len(good["poses"]) == good["display"]["num_shapes"]
     bad = document()
@@ -400,36 +400,36 @@ def test_a_check_gives_all_problems_or_warnings_facts_and_a_picture(worker: Clie
 @pytest.mark.parametrize("given", [None, 3, [], "x", {}, {"shapes": [{}] * 10_000}, {"shapes": [None] * 900}])
 def test_a_check_of_what_is_no_level_names_problems_quickly(worker: Client, given: Any) -> None:
     begin = time.monotonic()
-    found = worker.ask("check", document=given)
+    found = worker.request("check", document=given)
     assert found["num_problems"] >= len(found["problems"]) > 0 and len(found["problems"]) <= 200
     assert time.monotonic() - begin < 10
 
 
 def test_documents_are_converted_both_ways(worker: Client) -> None:
-    public = worker.ask("convert", document=document(), to="public")["document"]
+    public = worker.request("convert", document=document(), to="public")["document"]
     assert public == json.loads(json.dumps(export_kinetix(level())))
-    ours = worker.ask("convert", document=public, to="kinetix-dist")["document"]
+    ours = worker.request("convert", document=public, to="kinetix-dist")["document"]
     assert [shape["type"] for shape in ours["shapes"]] == ["polygon", "circle", "circle"]
-    assert worker.ask("check", document=ours, play=False)["problems"] == []
-    (problem,) = worker.ask("check", document=public)["problems"]
+    assert worker.request("check", document=ours, play=False)["problems"] == []
+    (problem,) = worker.request("check", document=public)["problems"]
     assert "public package" in problem["problem"]
 
 
 def test_a_mutator_changes_a_document_and_it_stays_valid(worker: Client) -> None:
-    found = [worker.ask("mutate", document=document(), mutator="swap_roles", seed=seed) for seed in range(4)]
+    found = [worker.request("mutate", document=document(), mutator="swap_roles", seed=seed) for seed in range(4)]
     assert any(answer["changed"] for answer in found)
     for answer in found:
-        assert worker.ask("check", document=answer["document"], play=False)["problems"] == []
+        assert worker.request("check", document=answer["document"], play=False)["problems"] == []
         assert answer["changed"] or answer["document"] == document()
 
 
 @pytest.mark.slow  # the generator compiles for half a minute
 def test_generated_levels_are_valid_and_follow_their_seed(worker: Client) -> None:
-    one, two, again = (worker.ask("generate", size="s", seed=seed, count=3)["documents"] for seed in (0, 1, 0))
+    one, two, again = (worker.request("generate", size="s", seed=seed, count=3)["documents"] for seed in (0, 1, 0))
     assert one == again and one != two and len(one) == 3
     for made in one + two:
-        assert worker.ask("check", document=made, play=False)["problems"] == []
-    changed = [worker.ask("mutate", document=one[0], mutator=None, changes=3, seed=seed) for seed in range(3)]
+        assert worker.request("check", document=made, play=False)["problems"] == []
+    changed = [worker.request("mutate", document=one[0], mutator=None, changes=3, seed=seed) for seed in range(3)]
     assert any(answer["changed"] for answer in changed)
 
 
@@ -489,7 +489,7 @@ def test_controls_that_make_no_sense_are_one_line(worker: Client) -> None:
         worker.send_raw(50_000, {"type": "play.control", "session": number, **fields})
         with pytest.raises(RequestError, match=text):
             worker.wait(50_000)
-    worker.tell("play.input", session=number, seq=1, action=[9] * 6)
+    worker.send_only("play.input", session=number, seq=1, action=[9] * 6)
     assert "four numbers" in worker.other("error").content["text"]
     close(worker, session)
 
@@ -497,11 +497,11 @@ def test_controls_that_make_no_sense_are_one_line(worker: Client) -> None:
 def test_an_id_twice_and_too_many_requests_are_refused(worker: Client) -> None:
     requests = [worker.send("attempts", **LONG) for _ in range(16)]
     assert refused(worker, "check", document=document()).code == wire.BUSY
-    worker.tell("attempts", id=requests[0], **LONG)
+    worker.send_only("attempts", id=requests[0], **LONG)
     with pytest.raises(RequestError, match="in use"):
         worker.wait(requests[0])
     for request in requests:
-        worker.tell("cancel", id=request)
+        worker.send_only("cancel", id=request)
     for request in requests:
         with pytest.raises(RequestError, match="cancelled"):
             worker.wait(request)
@@ -517,7 +517,7 @@ def test_bytes_that_are_no_message_are_said_and_skipped(worker: Client) -> None:
             break
         worker.write(bytes(min(1 << 20, size - start)))
     assert worker.other("error").content["code"] == wire.TOO_LARGE
-    assert worker.ask("check", document=document(), play=False)["problems"] == []
+    assert worker.request("check", document=document(), play=False)["problems"] == []
 
 
 def test_the_greeting_says_what_there_is(worker: Client) -> None:

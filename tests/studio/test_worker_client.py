@@ -24,22 +24,22 @@ from tests.studio.serving import Server, serving, wait_for
 
 
 def a_worker_that(*lines: str) -> tuple[str, ...]:
-    """A process that says hello as the engine worker does, then runs these lines with `read()` and `say(message)`."""
+    """A process that says hello as the engine worker does, then runs these lines with `read()` and `send(message)`."""
     head = """
 import sys
 from kinetix_dist.studio.worker import wire
-def say(content, body=b""):
+def send(content, body=b""):
     sys.stdout.buffer.write(wire.encode(wire.Message(content, body))); sys.stdout.buffer.flush()
 def read():
     return wire.read(sys.stdin.buffer)
-say({"type": "hello", "version": wire.PROTOCOL_VERSION, "imports": {}, "palette": {}})
+send({"type": "hello", "version": wire.PROTOCOL_VERSION, "imports": {}, "palette": {}})
 """
     return (sys.executable, "-c", head + "\n".join(lines))
 
 
 ECHO = (
     "while (m := read()) is not None:",
-    "    say({'type': 'reply', 'id': m.content['id'], 'got': m.content['type']})",
+    "    send({'type': 'reply', 'id': m.content['id'], 'got': m.content['type']})",
 )
 
 
@@ -63,7 +63,7 @@ def test_a_worker_that_dies_fails_what_waits_and_the_next_request_starts_another
         for _ in range(2):
             await worker.hello()
             pids.append(worker.pid)
-            with pytest.raises(WorkerError, match=r"died \(exit status 3\): out of memory; ask again") as error:
+            with pytest.raises(WorkerError, match=r"died \(exit status 3\): out of memory; try again") as error:
                 await worker.request("anything", {})
             assert error.value.code == GONE
         assert pids[0] != pids[1]
@@ -79,7 +79,7 @@ def test_a_worker_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
         worker = WorkerClient(command=a_worker_that("import time", "time.sleep(100)"))
         await worker.hello()
         pid = worker.pid
-        with pytest.raises(WorkerError, match=r"said nothing for 0\.5 s and was ended") as error:
+        with pytest.raises(WorkerError, match=r"was silent for 0\.5 s and was ended") as error:
             await worker.request("anything", {})
         assert error.value.code == HUNG and pid is not None
         while psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE:
@@ -93,7 +93,7 @@ def test_a_cancelled_request_is_cancelled_in_the_worker() -> None:
     async def talk() -> None:
         lines = (
             "first, second, third = read(), read(), read()",
-            "say({'type': 'reply', 'id': third.content['id'], 'was': second.content})",
+            "send({'type': 'reply', 'id': third.content['id'], 'was': second.content})",
         )
         worker = WorkerClient(command=a_worker_that(*lines))
         waiting = asyncio.create_task(worker.request("long", {}))
@@ -113,7 +113,7 @@ def test_a_cancelled_request_is_cancelled_in_the_worker() -> None:
     ("line", "text"),
     [
         ("sys.stdout.buffer.write(b'\\xff' * 100); sys.stdout.buffer.flush(); read()", "no message"),
-        ("sys.exit(0)", "since nothing was asked of it"),
+        ("sys.exit(0)", "since it had no requests"),
     ],
 )
 def test_other_ends_of_a_worker_are_one_line(line: str, text: str) -> None:
@@ -224,9 +224,9 @@ def test_a_worker_that_is_killed_is_started_again(server: Server) -> None:
     first.kill()
 
     def is_another() -> bool:
-        # The server knows the palette, and may give it once more before it hears that the worker is gone.
+        # The server knows the palette, and may give it once more before it sees that the worker is gone.
         children = psutil.Process(server.process.pid).children()
-        return server.ask("/api/palette")[0] == 200 and any(child.pid != first.pid for child in children)
+        return server.request("/api/palette")[0] == 200 and any(child.pid != first.pid for child in children)
 
     wait_for(is_another)
 

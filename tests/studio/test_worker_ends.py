@@ -1,4 +1,4 @@
-"""How a worker ends: with its pipe, its parent, or after a while without work; killed and hung ones are noticed."""
+"""End of a worker: with its pipe, its parent, or after a while without work; killed and hung ones are noticed."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ def test_it_ends_when_its_parent_is_killed_though_the_pipe_stays_open(tmp_path: 
 
 def test_it_ends_after_a_while_without_work_but_not_while_a_session_runs(tmp_path: Path) -> None:
     client = Client(log=tmp_path / "log", environment={IDLE_VARIABLE: "1.5"})
-    session = client.ask("play.open", level=LONG["level"], env=LONG["env"], running=True)
+    session = client.request("play.open", level=LONG["level"], env=LONG["env"], running=True)
     time.sleep(3.0)
-    client.ask("play.control", session=session["session"], do="pause")
+    client.request("play.control", session=session["session"], do="pause")
     assert client.other("bye", seconds=PATIENCE_S).content["reason"] == "idle"
     assert client.process.wait(timeout=PATIENCE_S) == 0
 
@@ -88,7 +88,7 @@ def test_a_hung_worker_is_silent_and_a_killed_one_is_the_end_of_the_pipe(tmp_pat
 
 def test_ctrl_c_is_left_to_the_server(worker: Client) -> None:
     worker.process.send_signal(signal.SIGINT)
-    assert worker.ask("check", document=document(), play=False)["problems"] == []
+    assert worker.request("check", document=document(), play=False)["problems"] == []
 
 
 def test_it_sees_no_gpu_and_computes_on_the_cpu(tmp_path: Path) -> None:

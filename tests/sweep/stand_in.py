@@ -1,4 +1,4 @@
-"""In the place of `kinetix-dist train`, for tests of the loop around it: files of a run that trains 10 s in 0.1 s.
+"""Stand-in for `kinetix-dist train`, for tests of the loop around it: files of a run that trains 10 s in 0.1 s.
 
 python stand_in.py HASHES --run DIR [--resume] ...      HASHES: JSON file, {name of a run: hash of its config}
 

@@ -14,12 +14,12 @@ from kinetix_dist.errors import UserError
 from kinetix_dist.sweep import driver
 from kinetix_dist.sweep.arms import runs_of
 from kinetix_dist.sweep.driver import RunsFailedError, Sweep, SweepStoppedError, done_so_far
-from kinetix_dist.sweep.lanes import Lane
 from kinetix_dist.sweep.objective import read_curve
 from kinetix_dist.sweep.picture import draw
+from kinetix_dist.sweep.slots import Slot
 from tests.sweep.designs import design, halving_text, text
 
-LANES = [Lane(name="cpu 0"), Lane(name="cpu 1")]
+SLOTS = [Slot(name="cpu 0"), Slot(name="cpu 1")]
 STAND_IN = Path(__file__).with_name("stand_in.py")
 
 
@@ -28,8 +28,8 @@ def started(tmp_path, monkeypatch):
     """Training is a stand-in; a list of the arguments of all that were started, and the facts that they read."""
     commands, facts = [], {"hashes": {}, "rates": {}, "fails": []}
 
-    def start(arguments, lane, log):
-        commands.append((lane.name, arguments))
+    def start(arguments, slot, log):
+        commands.append((slot.name, arguments))
         file = (
             tmp_path / f"facts_{len(commands)}_{time.monotonic_ns()}.json"
         )  # one each: another may be reading its own
@@ -54,7 +54,7 @@ def sweep_of(tmp_path, facts, content, rates, name="results"):
 def train(sweep, must_stop=lambda: None):
     said = []
     try:
-        sweep.train(LANES, tell=said.append, must_stop=must_stop)
+        sweep.train(SLOTS, report=said.append, must_stop=must_stop)
     finally:
         sweep.close()
     return said
@@ -68,7 +68,7 @@ def test_every_arm_is_trained_once_until_its_second_and_then_stopped(tmp_path, s
     commands, facts = started
     sweep = sweep_of(tmp_path, facts, text(), [0.5, 0.5, 1.0, 1.0])  # a1, a2: low rate; a3, a4: high
     train(sweep)
-    assert len(commands) == 4 and {lane for lane, _ in commands} == {"cpu 0", "cpu 1"}
+    assert len(commands) == 4 and {slot for slot, _ in commands} == {"cpu 0", "cpu 1"}
     done = done_so_far(sweep.path, sweep.runs)
     assert all(seconds >= 20 for seconds in done.values()), done
     found = results(sweep)

@@ -4,7 +4,7 @@ import pytest
 
 from kinetix_dist.errors import UserError
 from kinetix_dist.sweep.arms import runs_of
-from kinetix_dist.sweep.rungs import check_fits, num_kept, predicted_seconds, stage_sizes, stages
+from kinetix_dist.sweep.rungs import check_fits, num_staying, predicted_seconds, stage_sizes, stages
 from tests.sweep.designs import design, halving_text, text
 
 
@@ -35,8 +35,8 @@ def test_arms_are_compared_by_their_mean_over_seeds(tmp_path):
 
 
 def test_a_share_of_the_arms_is_rounded_up():
-    assert [num_kept(count, 0.5) for count in (8, 7, 1)] == [4, 4, 1]
-    assert num_kept(10, 0.3) == 3  # 0.3 x 10 is 3.0000000000000004 or less
+    assert [num_staying(count, 0.5) for count in (8, 7, 1)] == [4, 4, 1]
+    assert num_staying(10, 0.3) == 3  # 0.3 x 10 is 3.0000000000000004 or less
 
 
 def test_predicted_time_is_of_waves(tmp_path):
@@ -55,10 +55,10 @@ def test_predicted_time_is_of_waves(tmp_path):
         (
             text(),
             1.7,
-            "4 runs on 1 lane take 2 minutes, and 1.7 are given: 3 runs fit, or all with seconds 10; or give",
+            "4 runs on 1 slot take 2 minutes, and 1.7 are given: 3 runs fit, or all with seconds 10; or give",
         ),
-        (text(), 1.0, "2 runs fit; or give --minutes 2 or more lanes"),
-        (text(), 0.1, "0 runs fit; or give --minutes 2 or more lanes"),
+        (text(), 1.0, "2 runs fit; or give --minutes 2 or more slots"),
+        (text(), 0.1, "0 runs fit; or give --minutes 2 or more slots"),
         (halving_text(), 3.5, "take 4 minutes, and 3.5 are given: the rungs up to 40 s fit"),
         (halving_text(), 2.0, "the rungs up to 20 s fit"),
         (halving_text(), 1.0, "not even the first rung fits"),

@@ -10,12 +10,12 @@ import pytest
 from kinetix_dist.cli import sweep as command
 from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
-from kinetix_dist.level.paths import levels_root
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import PUBLIC_SOURCE
 from kinetix_dist.sweep.arms import SET_BY_SWEEP, hash_of, runs_of, train_arguments
 from kinetix_dist.sweep.design import read_design
-from kinetix_dist.sweep.lanes import cpu_lanes, free_gpus
+from kinetix_dist.sweep.slots import cpu_slots, free_gpus
 from tests.helpers import REPOSITORY
 from tests.sweep.designs import ARMS, FACTORIAL, HALVING, design, halving_text, text, write
 
@@ -195,24 +195,24 @@ def test_a_design_that_is_not_there(capsys):
     assert "nowhere.toml cannot be read as a design (No such file or directory)" in capsys.readouterr().err
 
 
-# Minutes and lanes
+# Minutes and slots
 
 
 def test_more_arms_than_fit_the_minutes(capsys, tmp_path):
     for options in ([], ["--plan"]):
         line = refusal(capsys, tmp_path, text(), "--minutes", "1", *options)
-        assert "4 runs on 1 lane take 2 minutes, and 1 are given: 2 runs fit; or give --minutes 2 or more lanes" in line
+        assert "4 runs on 1 slot take 2 minutes, and 1 are given: 2 runs fit; or give --minutes 2 or more slots" in line
     assert "the rungs up to 20 s fit" in refusal(capsys, tmp_path, halving_text(), "--minutes", "2")
     assert "--minutes is 0; give a number above 0" in refusal(capsys, tmp_path, text(), "--minutes", "0")
 
 
-def test_more_lanes_than_there_are(capsys, tmp_path, monkeypatch):
-    assert "999 lanes are asked for, but this process may use" in refusal(capsys, tmp_path, text(), "--lanes", "999")
+def test_more_slots_than_there_are(capsys, tmp_path, monkeypatch):
+    assert "999 slots are requested, but this process may use" in refusal(capsys, tmp_path, text(), "--slots", "999")
     gpu = text(ARMS.replace('name = "plain"', 'name = "plain"\noptions = {"run.device" = "gpu"}'))
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
     assert "some arms run on GPUs and some on CPUs" in refusal(capsys, tmp_path, gpu)
     gpu = text().replace("[objective]", '[options]\n"run.device" = "gpu"\n[objective]')
-    assert "but no GPU is visible here" in refusal(capsys, tmp_path, gpu, "--lanes", "2")
+    assert "but no GPU is visible here" in refusal(capsys, tmp_path, gpu, "--slots", "2")
 
 
 def test_fewer_free_gpus_than_asked(capsys, tmp_path, monkeypatch):
@@ -224,10 +224,10 @@ def test_fewer_free_gpus_than_asked(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path / "bin"), prepend=":")
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0,1,2")
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
-    line = refusal(capsys, tmp_path, gpu, "--lanes", "3")
-    assert "3 GPUs are asked for, but 2 of 3 are free, 1 in use or not there; lower --lanes" in line
-    lanes = command._lanes(runs_of(design(tmp_path, gpu)), 0)
-    assert [lane.environment["CUDA_VISIBLE_DEVICES"] for lane in lanes] == ["0", "2"]
+    line = refusal(capsys, tmp_path, gpu, "--slots", "3")
+    assert "3 GPUs are requested, but 2 of 3 are free, 1 in use or not there; lower --slots" in line
+    slots = command._slots(runs_of(design(tmp_path, gpu)), 0)
+    assert [slot.environment["CUDA_VISIBLE_DEVICES"] for slot in slots] == ["0", "2"]
 
 
 def test_free_gpus_are_named_as_the_environment_does():
@@ -244,8 +244,8 @@ def test_a_cluster_is_refused(capsys, tmp_path, monkeypatch):
 
 def test_cores_are_shared_out(monkeypatch):
     monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1, 2, 5, 7})
-    assert [lane.cores for lane in cpu_lanes(0)] == [(0, 1, 2, 5, 7)]
-    assert [lane.cores for lane in cpu_lanes(2)] == [(0, 1, 2), (5, 7)]
+    assert [slot.cores for slot in cpu_slots(0)] == [(0, 1, 2, 5, 7)]
+    assert [slot.cores for slot in cpu_slots(2)] == [(0, 1, 2), (5, 7)]
 
 
 # The plan, and what arms are trained with

@@ -11,7 +11,7 @@ from PIL import Image, ImageSequence
 
 from jax2d.palette import FIXED_SHADE, ROLE_PALETTE, THRUSTER_PALETTE
 from jax2d.rasteriser import DEFAULT_VIEW
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Role
 from kinetix_dist.telemetry.pictures import moment_picture, rollout_picture, write_rollout_gif, write_rollout_picture
 from tests.telemetry.worlds import GREY_TRIANGLE, falling_rollout
 

@@ -19,7 +19,7 @@ from PIL import Image
 
 from jax2d.palette import ROLE_PALETTE
 from jax2d.scene import JointKind
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Role
 from kinetix_dist.telemetry.sinks.rerun import MOTOR_FORWARD, rollout_to_rrd, rollout_to_viewer
 from tests.helpers import PATIENCE_S
 from tests.telemetry.worlds import GREEN_BOX, GREY_TRIANGLE, falling_rollout, level

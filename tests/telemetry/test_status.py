@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+from kinetix_dist.telemetry.json_lines import utc_seconds, utc_text
 from kinetix_dist.telemetry.status import (
     FAILED,
     RUNNING,
@@ -19,7 +20,6 @@ from kinetix_dist.telemetry.status import (
     read_status,
     write_status,
 )
-from kinetix_dist.telemetry.utc import utc_seconds, utc_text
 
 NOW = 1_800_000_000.0
 HERE = Status(

@@ -8,8 +8,7 @@ import numpy as np
 
 from jax2d.fields import empty
 from jax2d.scene import Capacity, JointKind, Joints, Scene, Shapes, Springs, Thrusters
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Level, Role
 from kinetix_dist.telemetry.recording import Rollout
 
 GRAVITY = 9.81

@@ -50,9 +50,8 @@ import numpy as np
 from jax2d.scene import Array, Capacity, JointKind, Joints, pack_bits, touch_matrix
 from kinetix_dist.env.observations.observation import ENTITIES, Moving, Observation
 from kinetix_dist.level.canonical import swap_ends
-from kinetix_dist.level.connections import connections
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level, obeying_motors
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.derive import connections
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level, Role, obeying_motors
 
 NUM_BODY_FEATURES = 7
 NUM_CIRCLE_FEATURES = 19

@@ -21,10 +21,16 @@ from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import PreparedLevels
 from kinetix_dist.env.reward import goal_distance, judge
-from kinetix_dist.level.control import driving_motors, motors_with_effect, pushing_thrusters
-from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
+from kinetix_dist.level.level import (
+    NUM_MOTOR_COLOURS,
+    NUM_THRUSTER_COLOURS,
+    Level,
+    Role,
+    driving_motors,
+    motors_with_effect,
+    pushing_thrusters,
+)
 from kinetix_dist.level.overlap import surface_distance, world_corners
-from kinetix_dist.level.roles import Role
 
 START_NOISE_M_S = 1e-4  # on velocities of slightly different starts; a hundred times what float32 rounds off
 

@@ -1,4 +1,4 @@
-"""What an action does to a level that is being built."""
+"""Effect of an action on a level that is being built."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity, Thrusters
-from kinetix_dist.level.construction.places import (
+from kinetix_dist.level.construction.allowed import (
     anchor_point,
     attachment,
     held_at,
@@ -50,8 +50,8 @@ from kinetix_dist.level.draft import (
     write_slot,
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
+from kinetix_dist.level.level import Role
 from kinetix_dist.level.proposals import box_or_triangle, shape_mass
-from kinetix_dist.level.roles import Role
 
 _AT = {name: number for number, name in enumerate(HEADS)}
 
@@ -81,7 +81,7 @@ def apply_action(
 def _described(
     building: Construction, step: Array, choice: dict[str, Array], draws: Array, config: GeneratorConfig
 ) -> tuple[Shapes, Array]:
-    """The shape, at the origin, and where a joint would be on it."""
+    """The described shape, at the origin, and the point of a joint on it."""
     is_box = is_one_of(choice["what"], BOXES)
     limit = config.max_shape_size / 2.0 / math.sqrt(2.0)
     longest = limit * max(1.0, config.large_rectangle_scale)
@@ -119,7 +119,7 @@ def _with_shape(
     capacity: Capacity,
     config: GeneratorConfig,
 ) -> Draft:
-    """The draft with the described shape, and its joint; without it where it fits nowhere."""
+    """The draft with the described shape and its joint, unless it fits nowhere."""
     draft, polygons = building.draft, capacity.polygons
     shapes = draft.shapes
     is_box, is_joined = is_one_of(building.what, BOXES), is_one_of(building.what, JOINED)

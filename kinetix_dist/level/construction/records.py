@@ -1,4 +1,4 @@
-"""What is chosen while a level is built, and the level so far: the choices of an action, sizes, beginning and end."""
+"""Heads and choices of an action, and the level under construction with its beginning and end."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import jax.numpy as jnp
 from jax2d.fields import Array
 from jax2d.scene import Capacity
 from kinetix_dist.level.derive import derive
-from kinetix_dist.level.draft import Draft, Shapes, draft_to_level, empty_draft
+from kinetix_dist.level.draft import Draft, Shapes, draft_to_level, empty_draft, num_permutation_draws, permute_slots
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, WORLD_SIZE_M, Level
-from kinetix_dist.level.permute import num_permutation_draws, permute_slots
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 GRID = 8  # cells along each side of the box, for centres of free shapes
@@ -26,7 +25,7 @@ NUM_DRAWS = 8  # uniform numbers of a step
 
 
 class What(enum.IntEnum):
-    """What a step adds."""
+    """Addition of a step."""
 
     NOTHING = 0
     BOX = 1
@@ -44,7 +43,7 @@ RED = (What.RED_BOX, What.RED_CIRCLE)
 
 
 class Motor(enum.IntEnum):
-    """How a joint holds."""
+    """Motion that a joint allows."""
 
     FREE = 0  # a hinge that turns freely
     DRIVEN = 1  # a hinge with a motor
@@ -147,7 +146,7 @@ def begin(capacity: Capacity) -> Construction:
 
 
 def num_order_draws(capacity: Capacity) -> int:
-    """How many uniform numbers `finish` wants."""
+    """Number of uniform numbers that `finish` uses."""
     return num_permutation_draws(empty_draft(capacity))
 
 
@@ -156,7 +155,7 @@ def finish(building: Construction, order_draws: Array, capacity: Capacity) -> Le
     return derive(*draft_to_level(permute_slots(order_draws, building.draft, capacity.polygons), capacity))
 
 
-# Which step it is
+# Kinds of steps
 
 
 def num_shape_steps(capacity: Capacity) -> int:

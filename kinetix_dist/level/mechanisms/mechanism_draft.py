@@ -20,17 +20,15 @@ import numpy as np
 from jax2d.fields import Array
 from jax2d.scene import Capacity
 from kinetix_dist import prng
-from kinetix_dist.level.draft import Draft, empty_draft, with_green_and_blue_exchanged
+from kinetix_dist.level.draft import Draft, empty_draft, num_permutation_draws, with_green_and_blue_exchanged
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import WORLD_SIZE_M
+from kinetix_dist.level.level import WORLD_SIZE_M, Role
 from kinetix_dist.level.mechanisms import FAMILIES, fitting_families
 from kinetix_dist.level.mechanisms.obstacles import block, either, num_obstacle_draws, pillars
 from kinetix_dist.level.mechanisms.registry import Family
 from kinetix_dist.level.mechanisms.table import Table, choose, table_of, with_boxes, with_circle
 from kinetix_dist.level.mechanisms.template import CLEARANCE_M, WALL_MARGIN_M, Draws, Part, Task, draw_numbers
 from kinetix_dist.level.mechanisms.to_draft import with_table
-from kinetix_dist.level.permute import num_permutation_draws
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 GOAL_GAP_M = 0.3  # from the mechanism to the goal, at least

@@ -7,9 +7,8 @@ import dataclasses
 import jax.numpy as jnp
 
 from jax2d.fields import Array
-from kinetix_dist.level.level import WORLD_SIZE_M
+from kinetix_dist.level.level import WORLD_SIZE_M, Role
 from kinetix_dist.level.mechanisms.template import Draws, Part
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 _NUM_PILLAR_DRAWS, _NUM_BLOCK_DRAWS = 11, 8

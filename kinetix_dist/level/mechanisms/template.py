@@ -20,7 +20,7 @@ import numpy as np
 
 from jax2d.fields import Array
 from kinetix_dist import prng
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Role
 
 Row = TypeVar("Row", bound="Part | Joint | Thruster")
 Thrust = TypeVar("Thrust", bound="Thruster")

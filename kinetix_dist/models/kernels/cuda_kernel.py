@@ -22,6 +22,7 @@ from kinetix_dist.models.kernels.support import MULTIPROCESSORS
 FOLDER = Path(__file__).parent / "cuda"
 HEADER = "tile.cuh"
 TARGET = "__gpu$xla.gpu.ptx"
+CUSTOM_CALLS = (TARGET, "LayoutConstraint")  # that networks make; the latter is `jax.experimental.layout`
 THREADS = 256  # of a block, see tile.cuh
 ROWS = 64  # of a tile
 MULTIPROCESSOR_BYTES = 228 * 1024  # of shared memory, of which each block takes what it asks for, and

@@ -17,7 +17,7 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from kinetix_dist.telemetry.cached_files import cached
+from kinetix_dist.program_cache import cached_file
 
 ARCHITECTURE = "compute_80"
 PTX_VERSION = "7.1"  # of CUDA 11.1, November 2020
@@ -50,9 +50,9 @@ def check_compiler() -> None:
 def cached_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: Mapping[str, int]) -> str:
     """As `compile_ptx`, from JAX's compile cache where it is on and another process has written it there."""
     given = source, name, sorted(headers.items()), sorted(macros.items())
-    asked_for = (*given, OPTIONS, PTX_VERSION, compiler_version())
+    key = repr((*given, OPTIONS, PTX_VERSION, compiler_version()))
     make = functools.partial(compile_ptx, source, name, headers=headers, macros=macros)
-    return cached(CACHE, repr(asked_for), lambda: make().encode()).decode()
+    return cached_file(CACHE, key, lambda: make().encode()).decode()
 
 
 def compile_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: Mapping[str, int]) -> str:

@@ -13,12 +13,12 @@ import gc
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.program_cache import enable_compile_cache
 from kinetix_dist.registry import import_plugins
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.evaluator import EvaluatorCore
 from kinetix_dist.runtime.cores.split_core import RolloutWorker
 from kinetix_dist.runtime.cores.worker import LearnerWorker, Worker
-from kinetix_dist.telemetry.compile_cache import enable_compile_cache
 
 # Tracing makes millions of objects that stay: looking for garbage among them at Python's own intervals takes 6 % of the
 # CPU seconds from the start of a process to its first update, with all programs in the cache.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -48,44 +48,39 @@ class PpoAgents:
     def student(self) -> PpoAgent:
         env = self._env
         obs = jax.eval_shape(lambda: some_observation(self._config, env))
-        return self._agent(
-            self._policy, env.observation, env.action_distribution, obs, self._config.ppo, stream_number=ANTAGONIST
-        )
+        interface = AgentInterface(env.observation, env.action_distribution, obs)
+        return self._agent(self._policy, interface, self._config.ppo, stream_number=ANTAGONIST)
 
     def teacher(self, policy: nn.Module, distribution: ActionDistribution, obs: Any, **ppo: Any) -> PpoAgent:
         settings = dataclasses.replace(self._config.ppo, **ppo)
-        return self._agent(policy, _OfNoEnvironment(), distribution, obs, settings, stream_number=TEACHER)
+        interface = AgentInterface(_NoEnvironment(), distribution, obs)
+        return self._agent(policy, interface, settings, stream_number=TEACHER)
 
     def static_input(self, levels: Level) -> StaticInput:
         env, is_masked = self._env, self._config.ppo.mask_unbound_heads
         bound = env.action_space.bound_heads(levels) if is_masked else None
         return StaticInput(obs=env.observation.static(levels), bound_heads=bound)
 
-    def _agent(
-        self,
-        policy: nn.Module,
-        observation: Observation,
-        distribution: ActionDistribution,
-        obs: Any,
-        ppo: PpoConfig,
-        *,
-        stream_number: int,
-    ) -> PpoAgent:
+    def _agent(self, policy: nn.Module, interface: AgentInterface, ppo: PpoConfig, *, stream_number: int) -> PpoAgent:
         key = stream(self._config.run.seed, stream_number)
-        return PpoAgent(
-            policy, observation, distribution, obs, ppo, self._mesh, num_blocks=self._config.num_blocks, key=key
-        )
+        return PpoAgent(policy, interface, ppo, self._mesh, num_blocks=self._config.num_blocks, key=key)
+
+
+class AgentInterface(NamedTuple):
+    """Input and output of an agent's policy."""
+
+    observation: Observation
+    distribution: ActionDistribution  # of its actions
+    obs: Any  # shapes of what the policy takes, [1, ...]
 
 
 class PpoAgent:
-    """See `Agent`. obs: shapes; num_blocks: of worlds, see `TrainConfig.num_blocks`; key: typed, consumed."""
+    """See `Agent`. num_blocks: of worlds, see `TrainConfig.num_blocks`; key: typed, consumed."""
 
     def __init__(
         self,
         policy: nn.Module,
-        observation: Observation,
-        distribution: ActionDistribution,
-        obs: Any,
+        interface: AgentInterface,
         ppo: PpoConfig,
         mesh: Mesh,
         *,
@@ -93,9 +88,7 @@ class PpoAgent:
         key: Array,
     ) -> None:
         self._policy = policy
-        self._observation = observation
-        self._distribution = distribution
-        self._obs = obs
+        self._observation, self._distribution, self._obs = interface
         self._ppo = ppo
         self._mesh = mesh
         self._num_blocks = num_blocks
@@ -130,7 +123,7 @@ class PpoAgent:
         )
 
 
-class _OfNoEnvironment(Observation):
+class _NoEnvironment(Observation):
     """All that a teacher sees changes from step to step, and no physics moves it."""
 
     gives = "construction"

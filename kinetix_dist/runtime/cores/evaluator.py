@@ -17,8 +17,8 @@ from kinetix_dist.evaluation.intervals import interval_over_levels, wilson_inter
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.level.level import Level
+from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.level.sets import load_level_set
-from kinetix_dist.level.varied_sets import base_levels
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.playing import make_environment
 

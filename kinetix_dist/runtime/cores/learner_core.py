@@ -7,7 +7,6 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import flax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,17 +18,14 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
-from kinetix_dist.learner.exported_update import exported_update
 from kinetix_dist.learner.sharding import local_values, replicate, shapes_of_replicated
 from kinetix_dist.learner.state import LearnerState, at_env_steps, clock
-from kinetix_dist.learner.update import make_update
+from kinetix_dist.learner.update import exported_update, make_update
 from kinetix_dist.models.added_layers import with_added_layers
 from kinetix_dist.models.policy import init_params
 from kinetix_dist.runtime.cores.curriculum_state import some_observation
 from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
 from kinetix_dist.runtime.cores.run_names import INIT, LEARNER, OPTIMIZER, PARAMS, SHUFFLE, START, stream
-from kinetix_dist.telemetry.exported_program import are_of_this_project, told_apart
-from kinetix_dist.telemetry.kept_shapes import kept_shapes
 
 
 class LearnerCore:
@@ -114,18 +110,5 @@ def _initial_params(config: TrainConfig, env: Environment, policy: Any) -> Any:
 
 
 def _shapes_of_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
-    """Shapes of `initial_state`; those of parameters from the compile cache, unless code from elsewhere makes them."""
-
-    def trace() -> Any:
-        return jax.eval_shape(lambda: _initial_params(config, env, policy))
-
-    if config.run.plugins or not are_of_this_project(policy, env.observation):
-        params = trace()
-    else:
-        made_from = flax.__version__, type(policy).__module__, policy, told_apart(env.observation), config.env
-        params = kept_shapes(made_from, trace)
-
-    def state(params: Any) -> LearnerState:
-        return config.ppo.initial_state(params, stream(config.run.seed, SHUFFLE))
-
-    return jax.eval_shape(state, params)
+    """Of `initial_state`."""
+    return jax.eval_shape(lambda: initial_state(config, env, policy))

@@ -18,16 +18,17 @@ from kinetix_dist.curator.buffer_share import members
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.division import Division
-from kinetix_dist.learner.exported_on_mesh import exported_on_mesh
 from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
 from kinetix_dist.level.fit import size_numbers
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome, StaticInput
+from kinetix_dist.models.kernels.cuda_kernel import CUSTOM_CALLS
+from kinetix_dist.models.kernels.support import traced_for
+from kinetix_dist.program_cache import ProgramKey, exported_on_mesh, is_cacheable
 from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
 from kinetix_dist.runtime.cores.run_names import LEVELS, PLAY, stream
-from kinetix_dist.telemetry.exported_program import are_of_this_project, told_apart
 
-KIND = "rollouts"  # folder in the compile cache
+CACHE = "rollouts"  # folder in the program cache
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
 SIZES_PLAYED = "sizes"  # in the sums of an update where sizes are mixed: by size, in the order of `SIZES`
 BY_SOURCE = "by_source"  # in the sums of an update: attempts of each source and slot of `Proposal.source`
@@ -48,8 +49,8 @@ class Batch(NamedTuple):
 class RolloutCore:
     """Plays the worlds of `groups` of every update.
 
-    division: of blocks of these groups over the devices of the mesh, by default of single ones. made_from: all that the
-    program depends on besides the sources of this project, see `exported`; None: it is traced in every process.
+    division: of blocks of these groups over the devices of the mesh, by default of single ones. key: of its
+    program in the program cache; None: it is traced in every process.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class RolloutCore:
         *,
         groups: range,
         division: Division | None = None,
-        made_from: str | None = None,
+        key: ProgramKey | None = None,
     ) -> None:
         self.division = division or Division(len(groups), mesh.devices.size)
         self._config = config
@@ -86,9 +87,7 @@ class RolloutCore:
         def rollout(params: Any, state: Any, num_updates: Array) -> tuple[Batch, Seen | None, dict[str, Any]]:
             return on_mesh(params, state, num_updates)
 
-        self.program = (
-            jax.jit(rollout) if made_from is None else exported_on_mesh(KIND, made_from, rollout, mesh, **specs)
-        )
+        self.program = jax.jit(rollout) if key is None else exported_on_mesh(rollout, key, mesh, **specs)
 
     def play(self, params: Any, state: Any, num_updates: int) -> tuple[Batch, Seen | None, dict[str, Any]]:
         """(what is learned from, what the curriculum sees if it observes, sums over all worlds) of one update.
@@ -175,13 +174,18 @@ def rollout_core(
     that a curriculum is given: then the program is traced in every process.
     """
     settings = settings_of_programs(config)
-    parts = env.observation, env.action_space, env.action_distribution
-    is_told = not config.run.plugins and not config.curriculum.levels
-    made_from = None
-    if is_told and are_of_this_project(*parts, policy, curriculum):
-        told = *map(told_apart, parts), (type(policy).__module__, policy), type(curriculum)
-        made_from = repr((settings, env.variants, *told, groups, division))
-    return _cached(settings, env, policy, curriculum, mesh, groups=groups, division=division, made_from=made_from)
+    parts = env.observation, env.action_space, env.action_distribution, policy, type(curriculum)
+    key = None
+    if is_cacheable(*parts) and not config.run.plugins and not config.curriculum.levels:
+        key = ProgramKey(
+            kind=CACHE,
+            module=__name__,
+            parts=parts,
+            depends_on=(settings, env.variants, groups, division),
+            at_trace=traced_for,
+            custom_calls=CUSTOM_CALLS,
+        )
+    return _cached(settings, env, policy, curriculum, mesh, groups=groups, division=division, key=key)
 
 
 _cached = functools.lru_cache(maxsize=MAX_CACHED)(RolloutCore)

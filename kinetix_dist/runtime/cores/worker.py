@@ -15,6 +15,7 @@ from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values
+from kinetix_dist.program_cache import compile_seconds
 from kinetix_dist.runtime.cores import programs
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState
@@ -25,7 +26,6 @@ from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE, RolloutCore
 from kinetix_dist.runtime.cores.run_names import CURRICULUM, LEARNER
 from kinetix_dist.runtime.cores.split_core import Copies, Staging, Stored
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
-from kinetix_dist.telemetry.compile_time import compile_seconds
 
 
 class LearnerWorker:

@@ -66,6 +66,16 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Roles:
+    """Roles that a controller drives."""
+
+    trainer: Trainer
+    curator: Curator | None = None
+    evaluations: Evaluations | None = None  # during training, in the background; None: the trainer makes them
+    resizing: Resizing | None = None  # None: the run keeps its number of processes
+
+
 class Controller:
     """Drives one run in one run directory."""
 
@@ -73,23 +83,19 @@ class Controller:
         self,
         config: TrainConfig,
         run: RunDirectory,
-        trainer: Trainer,
-        curator: Curator | None,
+        roles: Roles,
         reporter: Reporter,
         *,
         on_rollouts: Callable[[list[Any]], None] = lambda rollouts: None,
         stop: StopSignals | None = None,
-        evaluations: Evaluations | None = None,
-        resizing: Resizing | None = None,
         began: float | None = None,
     ) -> None:
-        """evaluations: those during training, in the background; None: the trainer makes them. began: the session, by
-        time.monotonic; None: now."""
+        """began: the session, by time.monotonic; None: now."""
         self._data = RunData(config, run, reporter)
         self.config = config
         self.run = run
-        self.trainer = trainer
-        self._curator = curator
+        self.trainer = roles.trainer
+        self._curator = roles.curator
         self.reporter = reporter
         self.clock = RoleClock()
         self.stop = stop or StopSignals()
@@ -100,11 +106,9 @@ class Controller:
         self._warmup_before = 0.0  # s of it, see `warmup_seconds`
         self._warmup: float | None = None  # s of this session; None: its first update is not done
         self.training_seconds_at_end = 0.0
-        self.backend = trainer.backend
+        self.backend = roles.trainer.backend
         self._on_rollouts = on_rollouts
-        self._refreshes = Refreshes(
-            config, run, reporter, trainer, curator, clock=self.clock, stop=self.stop, data=self._data
-        )
+        self._refreshes = Refreshes(config, self._data, roles.trainer, roles.curator, clock=self.clock, stop=self.stop)
         self._physics = PhysicsWatch()
         self._losses = Losses(
             limit=config.run.max_restarts, on_event=run.event, on_note=reporter.note, on_log=run.try_write_log
@@ -112,8 +116,8 @@ class Controller:
         self.backend.losses = self._losses
         self._section = self.backend.sections.section
         self.backend.sections.limits = dataclasses.asdict(config.run.limits)
-        self._evaluations = evaluations or InlineEvaluations(config, self._evaluate, self._record)
-        self._resizing = resizing
+        self._evaluations = roles.evaluations or InlineEvaluations(config, self._evaluate, self._record)
+        self._resizing = roles.resizing
         self._lost: list[Loss] = []  # since the last new result
         self._update_seconds = 0.0  # of the last update
         self._saver = Saver(run, reporter, keep=config.run.keep_checkpoints)

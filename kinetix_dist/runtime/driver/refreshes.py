@@ -38,7 +38,7 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.cores.build import build_curator
 from kinetix_dist.runtime.cores.run_names import nested
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.roles import Curator, Refresh, Reporter, Trainer
+from kinetix_dist.runtime.driver.roles import Curator, Refresh, Trainer
 from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import StopSignals
@@ -103,28 +103,26 @@ class Refreshes:
     def __init__(
         self,
         config: TrainConfig,
-        run: RunDirectory,
-        reporter: Reporter,
+        data: RunData,
         trainer: Trainer,
         curator: Curator | None,
         *,
         clock: RoleClock,
         stop: StopSignals,
-        data: RunData,
     ) -> None:
         self._config = config.curriculum
         self._schedule = config.schedule
         self._has_input = config.curriculum_class.refreshes_from_state
         self._log = config.curriculum_log
         self._data = data
-        self._run = run
-        self._reporter = reporter
+        self._run = data.run
+        self._reporter = data.reporter
         self._trainer = trainer
         self._curator = curator
         self._clock = clock
         self._stop = stop
         self._section = trainer.backend.sections.section
-        self._adoptions = Adoptions(run)
+        self._adoptions = Adoptions(data.run)
         # Refresh in flight: policy version, weights, what it works from or None.
         self._pending: tuple[int, Any, Any] | None = None
         self._is_stale = False

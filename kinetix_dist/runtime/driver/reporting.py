@@ -20,14 +20,13 @@ from typing import Any
 
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.run_files import LineFile, SinkEvents
-from kinetix_dist.telemetry.json_lines import read_lines
+from kinetix_dist.telemetry.json_lines import read_lines, utc_text
 from kinetix_dist.telemetry.names import check_metrics
 from kinetix_dist.telemetry.sinks.background import BackgroundSink, RowSink
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
 from kinetix_dist.telemetry.sinks.prometheus import PrometheusSink
 from kinetix_dist.telemetry.status import RUNNING, STATUS, Status, write_status
-from kinetix_dist.telemetry.utc import utc_text
 
 DROPPED_ROWS, DROPPED_WRITES = "telemetry/dropped_rows", "telemetry/dropped_writes"
 

@@ -37,10 +37,9 @@ from kinetix_dist.telemetry.curriculum_log import (
     REFRESH,
     is_outcomes,
 )
-from kinetix_dist.telemetry.json_lines import Row
+from kinetix_dist.telemetry.json_lines import Row, utc_text
 from kinetix_dist.telemetry.sinks.background import BackgroundSink, close_sinks
 from kinetix_dist.telemetry.sinks.jsonl import LinesSink
-from kinetix_dist.telemetry.utc import utc_text
 
 FORMAT = 1  # of evaluations.jsonl and processes.jsonl
 RANDOM_POLICY = "random_policy"  # a phase in evaluations.jsonl
@@ -63,7 +62,8 @@ class RunData:
 
     def __init__(self, config: TrainConfig, run: RunDirectory, reporter: Reporter) -> None:
         self._config = config
-        self._run = run
+        self.run = run
+        self.reporter = reporter
         self._curriculum: type[Curriculum] = config.curriculum_class
         log = config.curriculum_log
         self._has_snapshots = log.max_snapshots > 0
@@ -85,7 +85,7 @@ class RunData:
         self._close_sinks()
         self._resume_at = num_updates if num_updates or self._has_evaluated else -1
         self._is_curated = description.get("curated_for") == num_updates
-        for path in (self._run.curriculum, self._run.outcomes, self._run.evaluation_rows, self._run.processes):
+        for path in (self.run.curriculum, self.run.outcomes, self.run.evaluation_rows, self.run.processes):
             if os.path.exists(path):  # an unreadable one fails, and is reported, with the first row
                 self._sink(path, opens_at_once=True)
         if self._window is not None:
@@ -151,7 +151,7 @@ class RunData:
             "sets": {name: rate["levels"] for name, rate in rates.items()},
         }
         self._has_evaluated = True
-        self._sink(self._run.evaluation_rows).write(reported_at, row)
+        self._sink(self.run.evaluation_rows).write(reported_at, row)
 
     def processes(self, num_updates: int, processes: Sequence[Mapping[str, Any]]) -> None:
         """Writes what they are at, if the last line is old enough, or some came or went since."""
@@ -161,7 +161,7 @@ class RunData:
             return
         self._processes_at, self._pids = now, pids
         row = {"format": FORMAT, "time": utc_text(), "update": num_updates, "processes": list(processes)}
-        self._sink(self._run.processes).write(num_updates, row)
+        self._sink(self.run.processes).write(num_updates, row)
 
     def metrics(self, num_updates: int) -> dict[str, float]:
         """Metrics of dropped writes. Also reports the events of the threads."""
@@ -176,18 +176,18 @@ class RunData:
 
     def _write_outcomes(self, lines: Sequence[Row]) -> None:
         for line in lines:
-            self._sink(self._run.outcomes).write(line["update"], line)
+            self._sink(self.run.outcomes).write(line["update"], line)
 
     def _write_snapshot(self, kind: str, num_updates: int, arrays: Callable[[], dict[str, np.ndarray] | None]) -> None:
-        self._sink(self._run.curriculum).write(num_updates, UnfinishedSnapshot(kind, num_updates, arrays))
+        self._sink(self.run.curriculum).write(num_updates, UnfinishedSnapshot(kind, num_updates, arrays))
 
     def _sink(self, path: Path, *, opens_at_once: bool = False) -> BackgroundSink[Any]:
         """Sink of a file, or of the directory of snapshots."""
         if path not in self._sinks:
-            bound = {"max_queued": MAX_QUEUED_SNAPSHOTS} if path == self._run.curriculum else {}
+            bound = {"max_queued": MAX_QUEUED_SNAPSHOTS} if path == self.run.curriculum else {}
             self._sinks[path] = BackgroundSink(
-                str(path.relative_to(self._run.path)),
-                self._snapshots() if path == self._run.curriculum else self._lines(path),
+                str(path.relative_to(self.run.path)),
+                self._snapshots() if path == self.run.curriculum else self._lines(path),
                 self._sink_events.put,
                 patience_s=0.0,
                 opens_at_once=opens_at_once,
@@ -203,11 +203,11 @@ class RunData:
             keep = (lambda row: is_earlier(row, resume_at)) if is_first else None
             return LinesSink(path, is_row=is_row, keep=keep)
 
-        return LineFile(self._run.path, open_sink, self._sink_events.put, path).open
+        return LineFile(self.run.path, open_sink, self._sink_events.put, path).open
 
     def _snapshots(self) -> Callable[[], SnapshotSink]:
         sink = SnapshotSink(
-            self._run.curriculum,
+            self.run.curriculum,
             curriculum=self._config.curriculum.name,
             size=self._config.env.size,
             max_snapshots=self._config.curriculum_log.max_snapshots,

@@ -40,9 +40,9 @@ from kinetix_dist.telemetry.json_lines import (
     replace_file,
     set_aside_file,
     set_aside_unless_readable,
+    utc_text,
 )
 from kinetix_dist.telemetry.status import STATUS
-from kinetix_dist.telemetry.utc import utc_text
 
 EVALUATIONS = "evaluations.jsonl"  # evaluations.json has the summaries of three of them
 PROCESSES = "processes.jsonl"

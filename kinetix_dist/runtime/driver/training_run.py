@@ -19,7 +19,7 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.cores.build import MODULES
 from kinetix_dist.runtime.driver.checkpoints import LINEAGE
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller
+from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.evaluations import Evaluations, Recorder
 from kinetix_dist.runtime.driver.refreshes import CuratorClient, WorkerCurator
 from kinetix_dist.runtime.driver.reporting import STARTED, RunReporter
@@ -51,7 +51,7 @@ from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.status import FAILED, FINISHED, STOPPED
 
 if TYPE_CHECKING:
-    from kinetix_dist.runtime.driver.resizing import Resizing
+    pass
 
 
 class RunFailedError(RuntimeError):
@@ -153,21 +153,11 @@ def _from_start_to_report(
     if not resume:  # so that a run which is stopped or fails while it starts goes on by --resume
         _write_or_fail(run, run.config_path, stored, "then start the run again")
     try:
-        backend, trainer, curator, evaluations, resizing = _start_roles(config, run, reporter, recorder, fork_server)
+        roles = _start_roles(config, run, reporter, recorder, fork_server)
         stop.install()
-        started += [role.stop for role in (curator, evaluations, trainer, backend) if role is not None]
-        controller = Controller(
-            config,
-            run,
-            trainer,
-            curator,
-            reporter,
-            on_rollouts=recorder,
-            stop=stop,
-            evaluations=evaluations,
-            resizing=resizing,
-            began=began,
-        )
+        parts = (roles.curator, roles.evaluations, roles.trainer, roles.trainer.backend)
+        started += [part.stop for part in parts if part is not None]
+        controller = Controller(config, run, roles, reporter, on_rollouts=recorder, stop=stop, began=began)
         started.insert(0, controller.close)
         controller.restore(resume=resume)
     except (ValueError, CheckpointError, FileNotFoundError):  # refused, before anything was computed
@@ -286,7 +276,7 @@ def _start_roles(
     reporter: RunReporter,
     recorder: Recorder,
     fork_server: ForkServer | None,
-) -> tuple[Backend, Trainer, Curator | None, Evaluations | None, Resizing | None]:
+) -> Roles:
     hold_to_cpu(config)
     check_devices(config)
     if config.run.placement == "local":
@@ -295,7 +285,7 @@ def _start_roles(
         worker = ProcessPlan(role="worker", index=0)
         local = LocalBackend()
         here = ColocatedTrainer(config, local, [worker])
-        return local, here, _curator(config, local, here, [ProcessPlan(role="curator", index=0)]), None, None
+        return Roles(trainer=here, curator=_curator(config, local, here, [ProcessPlan(role="curator", index=0)]))
     if "RAY_ADDRESS" in os.environ:
         use_token()
     from kinetix_dist.runtime.driver.resizing import Resizing
@@ -329,7 +319,7 @@ def _start_roles(
     if evaluations is not None:
         background["evaluator"] = evaluations
     resizing = Resizing(config, backend, placement, trainer, background, on_event=run.event, on_note=reporter.note)
-    return backend, trainer, curator, evaluations, resizing
+    return Roles(trainer=trainer, curator=curator, evaluations=evaluations, resizing=resizing)
 
 
 def _curator(config: TrainConfig, backend: Backend, trainer: Trainer, plans: Sequence[ProcessPlan]) -> Curator | None:

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.child_python import difference_of_imports
+from kinetix_dist.program_cache import compile_seconds
 from kinetix_dist.runtime.processes.gpu_memory import GIB, MIB, Budget, Pool, gpu_used_share, pool_use
 from kinetix_dist.runtime.processes.placement import PlacementError
-from kinetix_dist.telemetry.compile_time import compile_seconds
 from kinetix_dist.telemetry.sizes import bytes_of
 
 _POOL = (("", "used"), ("peak_", "peak"), ("limit_", "limit"))  # parts of names in processes.jsonl, fields of Pool

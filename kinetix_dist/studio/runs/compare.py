@@ -1,7 +1,7 @@
-"""Several runs side by side: curves on one axis, groups by a field of the config, what differs between configs.
+"""Comparison of runs: curves on one axis, groups by a field of the config, differences between configs.
 
-A group of runs (seeds of one setting) has a mean or an interquartile mean at each place of the axis, with a bootstrap
-band: what the statistic would be of other seeds, as far as these tell. (R. Agarwal et al., Deep Reinforcement Learning
+A group of runs (seeds of one setting) has a mean or an interquartile mean at each point of the axis, with a bootstrap
+band: the statistic of other seeds, as far as these seeds show it. (R. Agarwal et al., Deep Reinforcement Learning
 at the Edge of the Statistical Precipice, 2021.) A group of one run has no band.
 """
 
@@ -19,7 +19,7 @@ SEED = 0  # of resampling: the same runs have the same band
 
 
 def mean(values: np.ndarray) -> np.ndarray:
-    """Over the last axis."""
+    """Mean over the last axis."""
     return values.mean(axis=-1)
 
 
@@ -40,7 +40,7 @@ STATISTICS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"mean": mean, "iqm"
 
 @dataclasses.dataclass(frozen=True)
 class GroupCurve:
-    """[points] each: x, the statistic of the runs that have data there, its band, and how many runs these are."""
+    """Curve of a group, [points] each: x, the statistic of the runs with data there, its band, the number of runs."""
 
     x: np.ndarray
     center: np.ndarray
@@ -50,9 +50,11 @@ class GroupCurve:
 
 
 def group_curve(curves: Sequence[tuple[np.ndarray, np.ndarray]], *, statistic: str, points: int) -> GroupCurve:
-    """curves: (x [n], y [n]) of each run, x rising, nan where there is no value. Runs are interpolated linearly between
-    their rows, and never beyond them. The band is nan where a single run has data. Raises ValueError for an unknown
-    statistic."""
+    """Curve of a group of runs.
+
+    curves: (x [n], y [n]) of each run, x rising, nan for a missing value. Runs are interpolated linearly between their
+    rows, and never beyond them. The band is nan where a single run has data. Raises ValueError for an unknown statistic.
+    """
     if statistic not in STATISTICS:
         raise ValueError(f"statistic {statistic!r} is none of {', '.join(STATISTICS)}")
     curves = [(x[~np.isnan(y)], y[~np.isnan(y)]) for x, y in curves]
@@ -65,11 +67,11 @@ def group_curve(curves: Sequence[tuple[np.ndarray, np.ndarray]], *, statistic: s
     num_runs = (~np.isnan(values)).sum(0)
     center, low, high = (np.full(points, np.nan) for _ in range(3))
     chance = np.random.default_rng(SEED)
-    # Places with data of the same runs share their resamples, so that a band does not flicker along the axis.
-    masks, place = np.unique(~np.isnan(values), axis=1, return_inverse=True)
+    # Points with data of the same runs share their resamples, so that a band does not flicker along the axis.
+    masks, mask_of = np.unique(~np.isnan(values), axis=1, return_inverse=True)
     for k in range(masks.shape[1]):
-        chosen = place.reshape(-1) == k
-        present = values[masks[:, k]][:, chosen].T  # [places, runs]
+        chosen = mask_of.reshape(-1) == k
+        present = values[masks[:, k]][:, chosen].T  # [points, runs]
         count = present.shape[1]
         if not count:
             continue
@@ -81,7 +83,7 @@ def group_curve(curves: Sequence[tuple[np.ndarray, np.ndarray]], *, statistic: s
 
 
 def flat_config(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """{"ppo.clip": 0.2, ...} of nested sections; lists stay as they are."""
+    """Config as {"ppo.clip": 0.2, ...}; lists stay as they are."""
     found: dict[str, Any] = {}
     for name, value in config.items():
         if isinstance(value, Mapping):
@@ -92,7 +94,7 @@ def flat_config(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def config_differences(configs: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """{field: {run: value}} of fields in which the configs of runs differ; a field that a config lacks is None."""
+    """Fields in which the configs of runs differ, {field: {run: value}}; None where a config lacks the field."""
     flat = {run: flat_config(config) for run, config in configs.items()}
     names = dict.fromkeys(name for fields in flat.values() for name in fields)
     differing = {}
@@ -104,7 +106,7 @@ def config_differences(configs: Mapping[str, Mapping[str, Any]]) -> dict[str, di
 
 
 def group_by(configs: Mapping[str, Mapping[str, Any]], field: str) -> dict[str, list[str]]:
-    """{value of a field: runs}; "" as the field: all runs in one group. A config without the field: "not there"."""
+    """Groups {value of a field: runs}; field "": all runs in one group. A config without the field: "not there"."""
     if not field:
         return {"all": list(configs)}
     groups: dict[str, list[str]] = {}

@@ -1,7 +1,7 @@
 """Solve rates of a run: of each level at each evaluation, and of sets with intervals.
 
-evaluations.jsonl has every level's solved attempts. Runs before it have evaluations.json alone: rates of sets before
-and after training, without levels; `without_levels` then says so. Nothing is made up for what is missing.
+evaluations.jsonl has every level's solved attempts. A run without that file has rates of sets before and after training
+in evaluations.json, without levels: `without_levels` is then true.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 from kinetix_dist.studio.runs import run_files
 from kinetix_dist.studio.runs.run_files import last_row, member, read_object
 from kinetix_dist.evaluation.intervals import interval_over_levels, wilson_interval
-from kinetix_dist.level.varied_sets import base_levels
+from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.telemetry.json_lines import read_lines
 
 LAST_BYTES = 1 << 20  # in which the last line is looked for; a set of 2,048 levels has 50 kB
@@ -21,7 +21,7 @@ PHASES = ("random_policy", "before", "training", "after")  # of evaluations, in 
 
 
 def evaluations(path: Path) -> dict[str, Any]:
-    """{sets: {name: {names, points}}, without_levels, problems} of a run directory.
+    """Evaluations {sets: {name: {names, points}}, without_levels, problems} of a run directory.
 
     A point is {phase, update, env_steps, solved (of each level, or null), attempts (of each level, or null), rate,
     low, high, interval_over_levels, episodes}. Both intervals are of the rate of the set at 95 %: low and high are
@@ -38,7 +38,7 @@ def evaluations(path: Path) -> dict[str, Any]:
         problems.append(f"{len(lines.damaged)} lines of {file.name} are damaged and left out")
     if not lines.rows:
         return {"sets": _sets_without_levels(path), "without_levels": True, "problems": problems}
-    newest = {(row["phase"], row["update"]): row for row in lines.rows}  # what was repeated after a kill counts once
+    newest = {(row["phase"], row["update"]): row for row in lines.rows}  # an evaluation that was repeated after a kill counts once
     rows = sorted(newest.values(), key=lambda row: (PHASES.index(row["phase"]), row["update"]))
     sets: dict[str, dict[str, Any]] = {}
     for row in rows:
@@ -73,8 +73,10 @@ def _point(row: dict[str, Any], name: str, result: dict[str, Any]) -> dict[str, 
 
 
 def newest_rates(path: Path) -> dict[str, dict[str, Any]]:
-    """{set: {rate, low, high, interval_over_levels, attempts}} of the policy's last evaluation, before, in or after
-    training, by the ends of files; empty where there is none. Raises RunFileError."""
+    """Rates {set: {rate, low, high, interval_over_levels, attempts}} of the policy's last evaluation.
+
+    Reads the ends of files only. Empty where there is none. Raises RunFileError.
+    """
     last = last_row(path / run_files.EVALUATION_LINES, is_row=_is_evaluation, max_bytes=LAST_BYTES)
     if last.problem is not None:
         raise run_files.RunFileError(last.problem)
@@ -85,9 +87,9 @@ def newest_rates(path: Path) -> dict[str, dict[str, Any]]:
     if row["phase"] == PHASES[0]:
         return {}
     points = {name: _point(row, name, result) for name, result in row["sets"].items()}
-    kept = ("rate", "low", "high", "interval_over_levels")
+    fields = ("rate", "low", "high", "interval_over_levels")
     return {
-        name: {field: point[field] for field in kept} | {"attempts": point["episodes"]}
+        name: {field: point[field] for field in fields} | {"attempts": point["episodes"]}
         for name, point in points.items()
     }
 
@@ -116,8 +118,10 @@ def _sets_without_levels(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _rates(stored: Mapping[str, Any], phase: str, *, file: str) -> dict[str, dict[str, Any]]:
-    """{set: {rate, low, high, attempts, interval_over_levels}} of a phase, None for what is not there. Raises
-    RunFileError."""
+    """Rates {set: {rate, low, high, attempts, interval_over_levels}} of a phase, None where missing.
+
+    Raises RunFileError.
+    """
     found = {}
     sets = member(stored, phase, dict, file=file) or {}
     for name in sets:

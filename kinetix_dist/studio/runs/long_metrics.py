@@ -1,9 +1,9 @@
-"""Reads a long metrics.jsonl: in a process of its own, so that the server goes on answering, and by Arrow.
+"""Reader of a long metrics.jsonl, in a process of its own and by Arrow, so that the server goes on responding.
 
     read_long --python -m kinetix_dist.studio.runs.long_metrics PATH--> {"done": bytes} ... {"names": ..., ...} columns
 
-A piece of the file that Arrow does not take as columns of numbers (a damaged line, a run that went back) is read line
-by line, as `Tail` and `SeriesTable` do it: the table is the same.
+A piece of the file that Arrow does not read as columns of numbers (a damaged line, a run that went back) is read line
+by line, as `Tail` and `SeriesTable` do: the table is the same.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ import numpy as np
 
 from kinetix_dist.child_python import command_of
 from kinetix_dist.studio.runs.series import SeriesTable
-from kinetix_dist.telemetry import strict_json
-from kinetix_dist.telemetry.json_lines import parse_line
+from kinetix_dist.telemetry.json_lines import MAX_INTEGER, parse_line
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
-from kinetix_dist.telemetry.tail import KEPT_BYTES, Tail
+from kinetix_dist.telemetry.tail import COMPARED_BYTES, Tail
 
 LONG_BYTES = 32 << 20  # from here on it pays to start a process: a second
 PIECE_BYTES = 32 << 20
@@ -35,22 +34,24 @@ ROW_BYTES = np.dtype(np.float64).itemsize
 
 @dataclasses.dataclass(frozen=True)
 class LongRead:
-    """What was read of the file: whole lines up to `offset`."""
+    """Table of the whole lines of a file up to `offset`."""
 
     table: SeriesTable
     offset: int
     inode: int
-    kept: bytes  # the last ones before the offset
+    tail_bytes: bytes  # the last bytes before the offset
     num_damaged: int
 
     def hand_over(self, tail: Tail) -> None:
-        """`tail` goes on behind what was read."""
-        tail.go_on(inode=self.inode, offset=self.offset, kept=self.kept, num_damaged=self.num_damaged)
+        """Lets `tail` go on from the offset."""
+        tail.go_on(inode=self.inode, offset=self.offset, last_bytes=self.tail_bytes, num_damaged=self.num_damaged)
 
 
 def read_long(path: Path, report: Callable[[int], None]) -> LongRead | None:
-    """Reads the whole lines that are there now; report(bytes) says how many are left. None: the process did not do it
-    (the file is gone, or memory ran out), and nothing was read."""
+    """Reads the whole lines of a file; report(bytes) receives how many are left.
+
+    None: the process failed (the file is gone, or memory ran out), and nothing was read.
+    """
     size = path.stat().st_size
     command = command_of("kinetix_dist.studio.runs.long_metrics", path)
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as process:
@@ -74,13 +75,13 @@ def _received(about: dict[str, Any], stream: IO[bytes]) -> LongRead | None:
     if rows:
         columns = np.frombuffer(content, np.float64).reshape(-1, rows)
         table.extend(dict(zip(about["names"], columns, strict=True)))
-    kept = bytes.fromhex(about["kept"])
-    return LongRead(table, about["offset"], about["inode"], kept, about["damaged"])
+    tail_bytes = bytes.fromhex(about["tail_bytes"])
+    return LongRead(table, about["offset"], about["inode"], tail_bytes, about["damaged"])
 
 
 def main(path: Path, out: IO[bytes]) -> None:
-    """The process."""
-    table, offset, damaged, kept = SeriesTable(), 0, 0, b""
+    """Main function of the process."""
+    table, offset, damaged, tail_bytes = SeriesTable(), 0, 0, b""
     with path.open("rb") as file:
         inode = os.fstat(file.fileno()).st_ino
         while piece := _whole_lines(file, offset):
@@ -93,23 +94,23 @@ def main(path: Path, out: IO[bytes]) -> None:
             else:
                 table.extend(columns)
             offset += len(piece)
-            kept = (kept + piece)[-KEPT_BYTES:]
-            _say(out, {"done": offset})
+            tail_bytes = (tail_bytes + piece)[-COMPARED_BYTES:]
+            _write_line(out, {"done": offset})
     names = ["update", *table.names]
     about = {"names": names, "rows": table.num_rows, "offset": offset, "inode": inode, "damaged": damaged}
-    _say(out, about | {"kept": kept.hex()})
+    _write_line(out, about | {"tail_bytes": tail_bytes.hex()})
     for name in names:
         out.write(np.ascontiguousarray(table.column(name)).data)
     out.flush()
 
 
-def _say(out: IO[bytes], content: dict[str, Any]) -> None:
+def _write_line(out: IO[bytes], content: dict[str, Any]) -> None:
     out.write(json.dumps(content).encode() + b"\n")
     out.flush()
 
 
 def _whole_lines(file: IO[bytes], offset: int) -> bytes:
-    """The next lines that have their ends; empty at the end of the file."""
+    """Next whole lines; empty at the end of the file."""
     length = PIECE_BYTES
     while True:
         file.seek(offset)
@@ -121,7 +122,7 @@ def _whole_lines(file: IO[bytes], offset: int) -> bytes:
 
 
 def _columns(piece: bytes) -> dict[str, np.ndarray] | None:
-    """[rows] float64 by name, nan where a row has no number; None where Arrow does not read every line as a row."""
+    """Columns [rows] float64 by name, nan where a row has no number; None where Arrow does not read every line as a row."""
     import pyarrow as pa
     import pyarrow.json
 
@@ -139,19 +140,19 @@ def _columns(piece: bytes) -> dict[str, np.ndarray] | None:
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
             chunks = table[name].cast(pa.float64(), safe=False).chunks
             numbers[name] = np.concatenate([_values_of(chunk) for chunk in chunks if len(chunk)])
-            if (np.abs(numbers[name]) > strict_json.MAX_INTEGER).any():  # 1e999 is infinite here
+            if (np.abs(numbers[name]) > MAX_INTEGER).any():  # 1e999 is infinite here
                 return None
     return numbers
 
 
 def _values_of(chunk: Any) -> np.ndarray:
-    """[n] of an Arrow array of float64, nan for null. Its own to_numpy imports pandas: 1.2 s of CPU time."""
-    there, values = chunk.buffers()
+    """Values [n] of an Arrow array of float64, nan for null. Its own to_numpy imports pandas: 1.2 s of CPU time."""
+    validity, values = chunk.buffers()
     wanted = slice(chunk.offset, chunk.offset + len(chunk))
     numbers = np.frombuffer(values, np.float64)[wanted]
     if not chunk.null_count:
         return numbers
-    return np.where(np.unpackbits(np.frombuffer(there, np.uint8), bitorder="little")[wanted], numbers, np.nan)
+    return np.where(np.unpackbits(np.frombuffer(validity, np.uint8), bitorder="little")[wanted], numbers, np.nan)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Who ran where: the processes of a run over time, and which of them were lost.
+"""Processes of a run over time: where each ran, how busy it was, which were lost.
 
     processes.jsonl                 --Tail--> newest reading of each process, idle shares over time
     events.jsonl, `process_lost`    --------> how often each was replaced, and why last
 
-A process is told by its name (`rollout 3`), which stays when another takes its place.
+A process is identified by its name (`rollout 3`), which its replacement takes over.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ import numpy as np
 from kinetix_dist.studio.runs import run_files
 from kinetix_dist.telemetry.tail import Tail
 
-MAX_COLUMNS = 48  # of idle shares over time; neighbouring lines are put together
+MAX_COLUMNS = 48  # of idle shares over time; neighbouring lines are merged
 LOST = "process_lost"  # event
 
 
 @dataclasses.dataclass(frozen=True)
 class _Line:
     update: int
-    idle: dict[str, float]  # share of time in no call, of processes that say it
+    idle: dict[str, float]  # share of time in no call, of processes that report it
 
 
 class Processes:
@@ -42,15 +42,15 @@ class Processes:
     def _start_again(self) -> None:
         self._lines: list[_Line] = []
         self._newest: dict[str, Any] = {}
-        self._known: dict[str, dict[str, Any]] = {}  # last reading of every process there ever was
+        self._known: dict[str, dict[str, Any]] = {}  # last reading of every process that ever ran
 
     def describe(self, events: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """{time, update, processes, updates, idle, problems}; events: all of the run.
+        """Description {time, update, processes, updates, idle, problems}; events: all of the run.
 
-        processes: each that ever was, as docs/run_data.md has it, with `seen_at` (update of its last reading),
+        processes: all that ever ran, as docs/run_data.md has it, with `seen_at` (update of its last reading),
         `is_there` (in the newest line), `idle` (mean over its readings, or null), `lost` (how often) and `error`
         (why last, or null).
-        updates: [C] last update of each column; idle: {name: [C] shares 0 to 1, null where nothing says it}.
+        updates: [C] last update of each column; idle: {name: [C] shares 0 to 1, null where it is unknown}.
         Raises RunFileError where the file cannot be read.
         """
         losses = [event for event in events if event.get("event") == LOST]

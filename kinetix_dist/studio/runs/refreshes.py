@@ -1,16 +1,16 @@
-"""What each refresh of a curriculum kept, what became of it in training, and what was learned: numbers with counts.
+"""Summaries of a curriculum's refreshes: levels chosen, their solve rates in training, and learning measured by probes.
 
-    curriculum/refresh_*.npz, buffer_*.npz --Refreshes--> one summary a file (kept while the file is the same)
+    curriculum/refresh_*.npz, buffer_*.npz --Refreshes--> one summary per file, cached until it changes
     curriculum/outcomes.jsonl              --training_plays--> plays of each level while its buffer was in use
 
-The curator **claims** the plug-in learnability of the few episodes by which it chose a level. Chosen by their largest
-values, these are too high. What training played is of other episodes: there the estimate is unbiased for levels played
+The curator **claims** the plug-in learnability of the few episodes by which it chose a level. Since levels are chosen by
+their largest values, these are too high. Training plays other episodes: its estimate is unbiased for levels played
 twice or more often (`evaluation/learnability.py`).
 
 Training counts attempts, the first episode of each world in an update: independent, each solved with the chance p of
-its level. Episodes that scored a level are all that one world finished: of one level solved / finished has the mean p,
-of many levels the sums have not, since levels of short episodes count more often. So rates of scored levels are means
-over levels. Lines of outcomes.jsonl of earlier versions count all episodes; `of_all_episodes` says so.
+its level. Episodes that scored a level are all that one world finished: solved / finished has the mean p for one level,
+but not for the sums of many levels, since levels of short episodes count more often. So rates of scored levels are means
+over levels. Lines of outcomes.jsonl of earlier versions count all episodes; `of_all_episodes` is then true.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ BINS = 10  # of histograms of p, besides those of p = 0 and p = 1
 
 @dataclasses.dataclass
 class Plays:
-    """[n] each: attempts at the levels of a buffer while it was in use, over windows `from_update` to `update`."""
+    """Attempts [n] at the levels of a buffer while it was in use, over windows `from_update` to `update`."""
 
     solved: np.ndarray
     attempts: np.ndarray
@@ -55,8 +55,10 @@ class Plays:
 
 
 def training_plays(outcomes: Iterable[Mapping[str, Any]]) -> dict[int, Plays]:
-    """By buffer (policy version): the windows of each added up. Windows of another length than before are left out,
-    and those that count all episodes where others count attempts."""
+    """Sums of the windows of each buffer, by policy version.
+
+    Windows of another length than before are left out, and those that count all episodes where others count attempts.
+    """
     plays: dict[int, Plays] = {}
     for row in outcomes:
         if not isinstance(row.get("buffer"), int) or "solved" not in row:
@@ -73,17 +75,17 @@ def training_plays(outcomes: Iterable[Mapping[str, Any]]) -> dict[int, Plays]:
 
 
 def is_of_all_episodes(row: Mapping[str, Any]) -> bool:
-    """Whether a line of outcomes.jsonl counts all episodes that ended, as earlier versions did."""
+    """True where a line of outcomes.jsonl counts all episodes that ended, as earlier versions did."""
     return row["format"] == ALL_EPISODES_FORMAT
 
 
 def tries_of(row: Mapping[str, Any]) -> str:
-    """The name of what solved ones are counted of in a line of outcomes.jsonl."""
+    """Name of the denominator of solved episodes in a line of outcomes.jsonl."""
     return "finished" if is_of_all_episodes(row) else "attempts"
 
 
 def counts_table(solved: np.ndarray, finished: np.ndarray) -> list[list[int]]:
-    """[[solved, finished, levels], ...] of the pairs that occur."""
+    """Table [[solved, finished, levels], ...] of the pairs that occur."""
     pairs, levels = np.unique(np.stack([solved, finished], 1), axis=0, return_counts=True)
     return np.concatenate([pairs, levels[:, None]], 1).astype(int).tolist()
 
@@ -98,7 +100,7 @@ def histogram_of_p(solved: np.ndarray, finished: np.ndarray) -> list[int]:
 
 
 def rate(solved: Any, episodes: Any) -> dict[str, Any]:
-    """{solved, episodes, rate, low, high}: of independent episodes, with its 95 % Wilson interval."""
+    """Rate {solved, episodes, rate, low, high} of independent episodes, with its 95 % Wilson interval."""
     solved, episodes = int(solved), int(episodes)
     low, high = wilson_interval(solved, episodes)
     return {
@@ -111,7 +113,7 @@ def rate(solved: Any, episodes: Any) -> dict[str, Any]:
 
 
 def rate_over_levels(solved: np.ndarray, finished: np.ndarray) -> dict[str, Any]:
-    """{levels, solved, episodes, rate, low, high} of counts [n] of scored levels: the mean of their solve rates.
+    """Mean solve rate {levels, solved, episodes, rate, low, high} of scored levels, from counts [n].
 
     The interval counts a level as one episode: levels are independent, and means of its episodes vary no more. Levels
     that finished none are left out.
@@ -132,7 +134,7 @@ def rate_over_levels(solved: np.ndarray, finished: np.ndarray) -> dict[str, Any]
 def rates_by_feature(
     names: Iterable[str], features: np.ndarray, solved: np.ndarray, finished: np.ndarray
 ) -> dict[str, list[dict[str, Any]]]:
-    """features [N, F], counts [N]. {feature: [{value} and `rate_over_levels` of the levels with it]} by its values."""
+    """Rates {feature: [{value} and `rate_over_levels` of its levels]}. features: [N, F], counts: [N]."""
     return {
         str(name): [
             {"value": int(value)} | rate_over_levels(solved[values == value], finished[values == value])
@@ -143,7 +145,7 @@ def rates_by_feature(
 
 
 def describe_snapshot(snapshot: Snapshot) -> dict[str, Any]:
-    """What one file says, without its levels. Fields that it lacks are left out."""
+    """Summary of one snapshot, without its levels. Fields that it lacks are left out."""
     arrays = snapshot.arrays
     described: dict[str, Any] = {
         "kind": snapshot.kind,
@@ -186,9 +188,9 @@ def _group(solved: np.ndarray, finished: np.ndarray) -> dict[str, Any]:
 
 
 def _fresh_learnability(solved: np.ndarray, finished: np.ndarray, is_sample: bool) -> dict[str, Any]:
-    """What fresh levels offer, the control of what a buffer does: {learnability, learnability_error}, unbiased.
+    """Unbiased learnability {learnability, learnability_error} of fresh levels, the baseline of a buffer.
 
-    None where some finished fewer than two episodes (those that did are the ones of short episodes), or where
+    None where some finished fewer than two episodes (the others are biased to short episodes), or where
     candidates are no sample of fresh levels.
     """
     learnability, error = None, None
@@ -198,7 +200,7 @@ def _fresh_learnability(solved: np.ndarray, finished: np.ndarray, is_sample: boo
 
 
 def describe_training(plays: Plays) -> dict[str, Any]:
-    """What training made of a buffer while it was in use. `learnability`: the unbiased estimate, over how many levels.
+    """Solve rates of a buffer in training while it was in use. `learnability`: the unbiased estimate.
 
     Worlds draw levels of a buffer at random: attempts at all of them are independent, given the policy.
     """
@@ -216,10 +218,9 @@ def describe_training(plays: Plays) -> dict[str, Any]:
 
 
 def describe_probe(before: Snapshot, after: Snapshot) -> dict[str, Any] | None:
-    """What one refresh cycle taught: levels of `before`, played again by the policy that scored `after`, each once
-    also where it was played twice.
+    """Learning of one refresh cycle: levels of `before`, played again by the policy that scored `after`.
 
-    None: that file has no such plays. `moves`: [[p before, p after, levels]] with p as 0 never, 1 sometimes, 2 always.
+    A level counts once, also where it was played twice. None: `after` has no such plays. `moves`: [[p before, p after, levels]] with p as 0 never, 1 sometimes, 2 always.
     """
     if "probe/index" not in after.arrays:
         return None
@@ -253,37 +254,40 @@ class Refreshes:
         self._read: dict[Path, tuple[tuple[int, int], Snapshot]] = {}
 
     def read(self) -> tuple[list[Snapshot], list[dict[str, Any]], list[str]]:
-        """All snapshots without levels, oldest first, the windows of outcomes, and a line for each damaged file."""
+        """Reads all snapshots without levels, oldest first, the windows of outcomes, and a line for each damaged file."""
         with self._lock:
             problems: list[str] = []
             return self._snapshots(problems), self._windows(problems), problems
 
     def summaries(self) -> dict[str, Any]:
-        """{snapshots, windows, problems}; snapshots oldest first, each as `describe_snapshot`, with `training`, `probe`
-        and `kept` (levels that the snapshot before it had too) where there is such a thing. windows: of outcomes."""
+        """Summaries {snapshots, windows, problems}; windows: of outcomes.
+
+        Snapshots come oldest first, each as `describe_snapshot`, with `training`, `probe` and `retained` (levels that
+        the snapshot before it had too) where known.
+        """
         snapshots, windows, problems = self.read()
         plays = training_plays(windows)
         described = []
-        for place, snapshot in enumerate(snapshots):
+        for position, snapshot in enumerate(snapshots):
             try:
                 entry = describe_snapshot(snapshot)
             except KeyError as error:
                 problems.append(f"{snapshot.kind} {snapshot.number} lacks {error}; it is left out")
                 continue
-            following = next((other for other in snapshots[place + 1 :] if other.kind == snapshot.kind), None)
-            before = next((other for other in reversed(snapshots[:place]) if other.kind == snapshot.kind), None)
+            following = next((other for other in snapshots[position + 1 :] if other.kind == snapshot.kind), None)
+            before = next((other for other in reversed(snapshots[:position]) if other.kind == snapshot.kind), None)
             if snapshot.kind == REFRESH and snapshot.number in plays:
                 entry["training"] = describe_training(plays[snapshot.number])
             if snapshot.kind == REFRESH and following is not None:
                 if following.arrays.get("probe/policy_version") == snapshot.number:
                     entry["probe"] = describe_probe(snapshot, following)
             if before is not None:
-                entry["kept"] = len(np.intersect1d(before.arrays["level_id"], snapshot.arrays["level_id"]))
+                entry["retained"] = len(np.intersect1d(before.arrays["level_id"], snapshot.arrays["level_id"]))
             described.append(entry)
         return {"snapshots": described, "windows": [_describe_window(row) for row in windows], "problems": problems}
 
     def snapshot(self, kind: str, number: int) -> Snapshot:
-        """Without levels. Raises KeyError where there is none, SnapshotError, OSError."""
+        """Snapshot without levels. Raises KeyError where there is none, SnapshotError, OSError."""
         for found_kind, found_number, path in list_snapshots(self._path / run_files.CURRICULUM):
             if (found_kind, found_number) == (kind, number):
                 with self._lock:
@@ -291,7 +295,7 @@ class Refreshes:
         raise KeyError(f"there is no {kind} {number} in this run")
 
     def plays(self, number: int) -> Plays | None:
-        """Of the buffer of a refresh, in training."""
+        """Plays in training of the buffer of a refresh."""
         with self._lock:
             return training_plays(self._windows([])).get(number)
 
@@ -326,8 +330,10 @@ class Refreshes:
 
 
 def _describe_window(row: Mapping[str, Any]) -> dict[str, Any]:
-    """{from_update, update, sources: {name: rate}, of_all_episodes}; `buffer` is the source of levels that the window
-    lists."""
+    """Window {from_update, update, sources: {name: rate}, of_all_episodes}.
+
+    `buffer` is the source of levels that the window lists.
+    """
     tries = tries_of(row)
     sources = {name: rate(counts["solved"], counts[tries]) for name, counts in row["sources"].items()}
     if "solved" in row:
@@ -341,7 +347,7 @@ def _describe_window(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _is_window(row: dict[str, Any]) -> bool:
-    """Whether all that is read of a line is there; other lines count as damaged."""
+    """True for a line with all fields that are read; other lines count as damaged."""
     if not is_outcomes(row) or not isinstance(row.get("from_update"), int):
         return False
     tries = tries_of(row)
@@ -358,7 +364,7 @@ def _is_window(row: dict[str, Any]) -> bool:
 
 
 def _histogram(values: np.ndarray) -> dict[str, Any]:
-    """{edges, counts, unknown} with 20 bins over what is finite."""
+    """Histogram {edges, counts, unknown} with 20 bins over finite values."""
     finite = values[np.isfinite(values)]
     counts, edges = np.histogram(finite, bins=20) if len(finite) else (np.zeros(0, int), np.zeros(0))
     return {"edges": edges.tolist(), "counts": counts.tolist(), "unknown": int(len(values) - len(finite))}

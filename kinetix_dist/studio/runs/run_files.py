@@ -1,4 +1,4 @@
-"""Files of a run directory that dashboards read. All are opened for reading only; `lock` is never touched.
+"""Files of a run directory, opened for reading only. `lock` is never touched.
 
 A shared lock, even for a moment, would refuse a driver that starts.
 """
@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from kinetix_dist.telemetry import curriculum_log, status, strict_json
-from kinetix_dist.telemetry.json_lines import Row, parse_row
+from kinetix_dist.telemetry import curriculum_log, status
+from kinetix_dist.telemetry.json_lines import Row, loads_json, parse_row
 
 T = TypeVar("T")
 
@@ -29,15 +29,15 @@ OUTCOMES = f"{CURRICULUM}/{curriculum_log.OUTCOMES}"
 PROCESSES = "processes.jsonl"
 
 MAX_JSON_BYTES = 64 << 20
-LAST_BYTES = 64 << 10  # in which the last row of a file is looked for; one of metrics.jsonl has 1 to 4 kB
+LAST_BYTES = 64 << 10  # searched for the last row of a file; one of metrics.jsonl has 1 to 4 kB
 
 
 class RunFileError(ValueError):
-    """A file of a run that is there and cannot be read: which, and why, in one line."""
+    """An existing file of a run that cannot be read: which, and why, in one line."""
 
 
 def read_object(path: Path) -> dict[str, Any] | None:
-    """The JSON object in a file; None where there is no such file. Raises RunFileError."""
+    """JSON object in a file; None where there is no such file. Raises RunFileError."""
     try:
         with path.open("rb") as file:
             content = file.read(MAX_JSON_BYTES + 1)
@@ -46,9 +46,9 @@ def read_object(path: Path) -> dict[str, Any] | None:
     except OSError as error:
         raise RunFileError(f"{path.name} cannot be read ({error.strerror})") from error
     if len(content) > MAX_JSON_BYTES:
-        raise RunFileError(f"{path.name} is larger than {MAX_JSON_BYTES >> 20} MiB; it is none of ours")
+        raise RunFileError(f"{path.name} is larger than {MAX_JSON_BYTES >> 20} MiB; no run writes such a file")
     try:
-        found = strict_json.loads(content)
+        found = loads_json(content)
     except ValueError as error:
         raise RunFileError(f"{path.name} is damaged ({error})") from error
     if not isinstance(found, dict):
@@ -71,12 +71,12 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def is_event(row: Row) -> bool:
-    """Whether a JSON object is a row of events.jsonl."""
+    """True for a JSON object that is a row of events.jsonl."""
     return isinstance(row.get("event"), str)
 
 
 def is_run(path: Path) -> bool:
-    """Whether a directory is a run: it has a config.json."""
+    """True for a run directory: it has a config.json."""
     return (path / CONFIG).is_file()
 
 
@@ -98,8 +98,7 @@ def size_of(path: Path) -> int | None:
 
 @dataclasses.dataclass(frozen=True)
 class LastRow:
-    """The last whole row of a file, and why there is none, or lines behind it were passed over; None: nothing is
-    wrong."""
+    """Last whole row of a file; `problem`: why there is none, or why lines behind it were skipped."""
 
     row: dict[str, Any] | None
     problem: str | None = None

@@ -1,6 +1,6 @@
-"""Which runs there are below the paths that a person named, and how each of them is.
+"""Index of the runs below the paths that a person named, with the status of each.
 
-A path is a run or a directory of runs (two levels deep). Runs that appear later are found; one that is gone is left
+A path is a run or a directory of runs (two levels deep). Runs that appear later are found; removed ones are left
 out. The name of a run in addresses is that of its directory, made unique where two have the same.
 """
 
@@ -29,7 +29,7 @@ from kinetix_dist.telemetry.status import (
     judged,
     read_status,
 )
-from kinetix_dist.telemetry.utc import utc_seconds
+from kinetix_dist.telemetry.json_lines import utc_seconds
 
 DEPTH = 2  # levels of directories below a path in which runs are looked for
 MAX_RUNS = 5000
@@ -48,23 +48,23 @@ NO_RUN = "is no run (it has no config.json) and holds none; name a run directory
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunStatus:
-    """How a run is, one line of why, and where that was read. What status.json does not say is None."""
+    """Status of a run, its reason in one line, and its source. Fields that status.json lacks are None."""
 
     state: str  # "running", "silent", "finished", "stopped", "failed" or "not started"
     text: str
-    source: str  # the file that says so; "files" where it follows from their times
+    source: str  # the file it was read from; "files" where it follows from their times
     phase: str | None = None
     update: int | None = None
     env_steps: int | None = None
     seconds_left: float | None = None
-    problem: str | None = None  # of the file that should say it
+    problem: str | None = None  # of the status file
 
 
 class RunIndex:
-    """Finds runs. `scan` looks again; ids stay with their directories."""
+    """Index of runs, updated by `scan`. Ids stay with their directories."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        """Raises UserError for a path that is not there, is no directory, or holds neither run nor directory."""
+        """Raises UserError for a path that does not exist, is no directory, or holds neither run nor directory."""
         self._roots = [_checked(path) for path in paths]
         self._ids: dict[Path, str] = {}
         self.runs: dict[str, Path] = {}
@@ -75,7 +75,7 @@ class RunIndex:
                 raise UserError(f"{root} {NO_RUN}")
 
     def scan(self) -> dict[str, Path]:
-        """Ids and directories of the runs that are there now."""
+        """Ids and directories of the runs that exist now."""
         self.problems = []
         found: dict[str, Path] = {}
         for root in self._roots:
@@ -111,8 +111,7 @@ class RunIndex:
 
 
 def summary(run_id: str, path: Path) -> dict[str, Any]:
-    """One row of the table of runs: what its small files say. `problems` has a line for each that cannot be read, or is
-    damaged at its end."""
+    """Row of the table of runs, from small files. `problems`: a line for each file that cannot be read or is damaged."""
     problems: list[str | None] = []
 
     def read(of_run: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:
@@ -139,7 +138,7 @@ def summary(run_id: str, path: Path) -> dict[str, Any]:
 
 
 def _settings(path: Path) -> dict[str, Any]:
-    """What the table shows of config.json. Raises RunFileError."""
+    """Fields of config.json for the table. Raises RunFileError."""
     content = read_object(path / run_files.CONFIG) or {}
     config = run_files.member(content, "config", dict, file=run_files.CONFIG) or {}
     found: dict[str, Any] = {"hash": run_files.member(content, "hash", str, file=run_files.CONFIG)}
@@ -150,7 +149,7 @@ def _settings(path: Path) -> dict[str, Any]:
 
 
 def status_of(path: Path) -> RunStatus:
-    """How a run is, by its status.json; by other files and their times where there is none (an older run)."""
+    """Status of a run by its status.json, else by other files and their times."""
     try:
         status = read_status(path / run_files.STATUS)
     except (StatusError, OSError) as error:
@@ -162,7 +161,7 @@ def status_of(path: Path) -> RunStatus:
     age = _age(time.time() - utc_seconds(status.time))
     text = {
         RUNNING: f"{status.phase}, written {age} ago by process {status.pid} on {status.host}",
-        SILENT: f"says {status.phase}, but was last heard of {age} ago (process {status.pid} on {status.host})",
+        SILENT: f"no status for {age}, last in {status.phase} (process {status.pid} on {status.host})",
     }.get(state, status.error or f"ended {age} ago")
     return RunStatus(
         state=state,
@@ -192,7 +191,7 @@ def _status_by_files(path: Path) -> RunStatus:
 
 
 def _is_reported(path: Path) -> bool:
-    """Whether report.json is there, and no later row: a run that was resumed after its report goes on."""
+    """True where report.json is of the last row: a run that was resumed after its report goes on."""
     try:
         report = read_object(path / run_files.REPORT)
     except RunFileError:
@@ -215,7 +214,7 @@ def _checked(path: Path) -> Path:
 
 
 def _may_come(root: Path) -> bool:
-    """An empty directory may get its first run; one that holds other things is a mistake."""
+    """True for an empty directory, which may get its first run; a directory of other files is a mistake."""
     return not any(root.iterdir())
 
 

@@ -1,8 +1,8 @@
-"""One run directory, followed while it is written: metrics as columns, events, what is missing or damaged.
+"""Reader of a run directory that follows it while it is written: metrics as columns, events, problems.
 
-    metrics.jsonl, events.jsonl --Tail--> RunReader.poll() --> Changes (what a page has to hear of)
+    metrics.jsonl, events.jsonl --Tail--> RunReader.poll() --> Changes, for the pages that watch the run
 
-`poll` reads what is new and never waits for a writer. Whoever calls it does so from one thread at a time.
+`poll` reads new lines and never waits for a writer. It is called from one thread at a time.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from kinetix_dist.studio.runs.long_metrics import LONG_BYTES, read_long
 from kinetix_dist.studio.runs.series import SeriesTable
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 from kinetix_dist.telemetry.tail import Tail
-from kinetix_dist.telemetry.utc import utc_seconds
+from kinetix_dist.telemetry.json_lines import utc_seconds
 
 
 @dataclasses.dataclass(frozen=True)
 class Changes:
-    """What a poll of a run found."""
+    """Changes of a run that a poll found."""
 
     first_row: int | None = None  # rows of the table from here on are new; None: no row is
     rewound_to: float | None = None  # rows of updates after this one are void (a run that went back); None: none are
@@ -51,9 +51,9 @@ class RunReader:
         self._events = Tail(path / run_files.EVENTS, is_row=run_files.is_event)
 
     def read_first(self, report: Callable[[int], None]) -> None:
-        """Reads everything that is there now; report(bytes) says how many are left. Nobody else may use it meanwhile.
+        """Reads all existing files; report(bytes) receives how many are left. Nothing else may use the reader meanwhile.
 
-        A long file is read by a process of its own; where that cannot be, here, which takes three times as long.
+        A long file is read by a process of its own; where that fails, in this one, which takes three times as long.
         """
         file = self.path / run_files.METRICS
         if (run_files.size_of(file) or 0) >= LONG_BYTES:
@@ -65,7 +65,7 @@ class RunReader:
             report(left)
 
     def poll(self) -> Changes:
-        """Reads what is new, a few MB of each file at most."""
+        """Reads new lines, a few MB of each file at most."""
         first_row, rewound_to, left = self._poll_metrics()
         new_events, restarted, events_left = self._poll_events()
         return Changes(first_row, rewound_to, new_events, restarted, left + events_left)
@@ -126,7 +126,7 @@ def _time_of(event: dict[str, Any]) -> float | None:
 
 
 def _num_equal(before: SeriesTable, after: SeriesTable) -> int:
-    """How many rows from the start on are the same in both."""
+    """Number of rows from the start on that are the same in both."""
     count = min(before.num_rows, after.num_rows)
     is_same = np.ones(count, bool)
     for name in ("update", *{*before.names, *after.names}):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-FIRST_ROWS = 256  # that a table has room for before it grows; doubled whenever it is full
+FIRST_ROWS = 256  # capacity of a new table; doubled whenever it is full
 
 # The horizontal axis of a curve: (name, metric that has it, unit). `time` follows from events, see `times_of_rows`.
 AXES = {
@@ -25,7 +25,7 @@ AXES = {
 
 
 class AxisError(ValueError):
-    """An axis that there is not, or that a run has no data for."""
+    """An unknown axis, or one that a run has no data for."""
 
 
 class SeriesTable:
@@ -64,25 +64,27 @@ class SeriesTable:
         return first_new
 
     def can_extend(self, columns: Mapping[str, np.ndarray]) -> bool:
-        """Whether updates of the columns rise, from the last one of the table on."""
+        """True where updates of the columns rise, from the last one of the table on."""
         updates = columns["update"]
         last = self._columns["update"][self.num_rows - 1] if self.num_rows else -np.inf
         return bool((np.diff(updates, prepend=last) > 0).all())
 
     def extend(self, columns: Mapping[str, np.ndarray]) -> None:
-        """Adds rows as columns, [n] float64 each, nan where a row lacks a metric. Raises ValueError for updates that do
-        not rise: `append` takes those."""
+        """Adds rows as columns, [n] float64 each, nan where a row lacks a metric.
+
+        Raises ValueError for updates that do not rise: `append` takes those.
+        """
         if not self.can_extend(columns):
             raise ValueError("updates of these columns do not rise")
         end = self.num_rows + len(columns["update"])
-        self._make_room(end)
+        self._grow(end)
         for name, values in columns.items():
             if name not in self._columns:
                 self._columns[name] = np.full(self._capacity, np.nan)
             self._columns[name][self.num_rows : end] = values
         self.num_rows = end
 
-    def _make_room(self, num_rows: int) -> None:
+    def _grow(self, num_rows: int) -> None:
         while self._capacity < num_rows:
             self._capacity *= 2
         for name, column in self._columns.items():
@@ -91,7 +93,7 @@ class SeriesTable:
 
     def _add(self, row: Mapping[str, Any]) -> None:
         if self.num_rows == self._capacity:
-            self._make_room(self.num_rows + 1)
+            self._grow(self.num_rows + 1)
         for name, value in row.items():
             if isinstance(value, int | float):
                 if name not in self._columns:
@@ -107,7 +109,7 @@ class SeriesTable:
 
 @dataclasses.dataclass(frozen=True)
 class Curve:
-    """[points] each: where, and the smallest, largest and mean value of the rows that a point stands for."""
+    """Curve of few points, [points] each: x, and the smallest, largest and mean value of the rows behind a point."""
 
     x: np.ndarray
     low: np.ndarray
@@ -116,10 +118,10 @@ class Curve:
 
 
 def decimate(x: np.ndarray, y: np.ndarray, *, points: int) -> Curve:
-    """x, y: [n], x rising. Neighbouring rows are put together, as many for each point; nan does not count.
+    """Merges neighbouring rows, as many for each point. x, y: [n], x rising; nan does not count.
 
-    x of a point is that of its last row, so that a curve ends where the data ends. Nothing is put together where n is
-    `points` or less. Raises ValueError for points below 1.
+    x of a point is that of its last row, so that a curve ends where the data ends. Nothing is merged where n is `points`
+    or less. Raises ValueError for points below 1.
     """
     if points < 1:
         raise ValueError(f"points is {points}; it must be 1 or more")
@@ -135,7 +137,7 @@ def decimate(x: np.ndarray, y: np.ndarray, *, points: int) -> Curve:
 
 
 def axis_values(table: SeriesTable, axis: str, anchors: Sequence[tuple[int, float]] = ()) -> np.ndarray:
-    """[num_rows] of one of `AXES`. anchors: (update, unix time) of events, for axis `time`. Raises AxisError."""
+    """Values [num_rows] of one of `AXES`. anchors: (update, unix time) of events, for axis `time`. Raises AxisError."""
     if axis not in AXES:
         raise AxisError(f"axis {axis!r} is none of {', '.join(AXES)}")
     metric, _ = AXES[axis]
@@ -148,7 +150,7 @@ def axis_values(table: SeriesTable, axis: str, anchors: Sequence[tuple[int, floa
 
 
 def times_of_rows(table: SeriesTable, anchors: Sequence[tuple[int, float]]) -> np.ndarray:
-    """[num_rows] unix time s: rows have seconds of the run, events have the date and often the update.
+    """Unix times [num_rows], s: rows have seconds of the run, events have the date and often the update.
 
     A row has the date of the last event at or before its update, and the seconds since then. Sessions of a run that
     was resumed each have events of their own, so that the time in between is not counted as training.
@@ -169,12 +171,12 @@ def times_of_rows(table: SeriesTable, anchors: Sequence[tuple[int, float]]) -> n
 
 
 def select(x: np.ndarray, start: float | None, end: float | None) -> slice:
-    """The rows whose x is from `start` to `end`, and one more on each side, so that curves reach the edges."""
+    """Rows whose x is from `start` to `end`, and one more on each side, so that curves reach the edges."""
     first = 0 if start is None else max(int(np.searchsorted(x, start)) - 1, 0)
     last = len(x) if end is None else int(np.searchsorted(x, end, side="right")) + 1
     return slice(first, max(last, first))
 
 
 def to_json(values: np.ndarray) -> list[float | None]:
-    """JSON has no nan: None."""
+    """Values as JSON, which has no nan: None."""
     return [value if np.isfinite(value) else None for value in values.tolist()]

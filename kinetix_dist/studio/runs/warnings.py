@@ -1,7 +1,7 @@
-"""What a run may suffer from: a table of rules over its metrics, each with what it means and what to do.
+"""Warnings about a run: a table of rules over its metrics.
 
-A rule looks at columns of metrics and says one line where it holds, with the numbers that made it hold. What to do
-about a metric comes from `telemetry.names.RED`, where there is one.
+A rule reads columns of metrics and returns one line where it holds, with its numbers. The remedy is that of
+`telemetry.names.RED`, where there is one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Check = Callable[[SeriesTable], str | None]
 
 @dataclasses.dataclass(frozen=True)
 class Rule:
-    """metric: the one that it is about; condition: in words; check: the finding in one line, or None."""
+    """Rule about a metric. condition: in words; check: the finding in one line, or None."""
 
     metric: str
     condition: str
@@ -30,7 +30,7 @@ class Rule:
 
 
 def _recent(table: SeriesTable, name: str) -> np.ndarray:
-    """The last values of a metric that are there; empty where there are none."""
+    """Last known values of a metric; empty where there are none."""
     column = table.column(name)
     return column[~np.isnan(column)][-RECENT_ROWS:]
 
@@ -102,7 +102,7 @@ RULES: tuple[Rule, ...] = (
 
 
 def warnings_of(table: SeriesTable, evaluated: dict[str, Any] | None = None) -> list[dict[str, str]]:
-    """[{metric, rule, finding, remedy}] of the rules that hold. evaluated: `evaluations.evaluations` of the run."""
+    """Rules that hold, [{metric, rule, finding, remedy}]. evaluated: `evaluations.evaluations` of the run."""
     found = []
     for rule in RULES:
         finding = rule.check(table)

@@ -1,10 +1,13 @@
-"""Who may talk to the server: whoever has the token that the command prints, from a page of this server.
+"""Access to the server: by the token that the command prints, from a page of this server; to one file by a signed URL.
 
 The token in the address is exchanged once for a cookie that no script can read. A cookie is sent to every port of a
 host (RFC 6265 knows no ports), so its name carries the port: two servers do not overwrite each other's. `Host` has to
 be a name of this machine or an allowed one: a foreign name that resolves to 127.0.0.1 (DNS rebinding) is refused.
 `Origin`, where a browser sends it, has to be this server: a page of another port is of the same site, and its requests
 carry the cookie.
+
+rerun's viewer fetches its .rrd without cookies. The URL of that file is signed: it carries a time until which it is
+valid, and an HMAC of time and file name by a key that is new with every start of the server.
 """
 
 from __future__ import annotations
@@ -13,16 +16,17 @@ import hmac
 import ipaddress
 import secrets
 import socket
+import time
 from collections.abc import Awaitable, Callable, Iterable
 from urllib.parse import urlsplit
 
 from aiohttp import web
 
 TOKEN_BYTES = 24
-# A browser with a window asks for the icon of every page: for the one that is linked, else for /favicon.ico.
+# A browser with a window requests the icon of every page: the one that is linked, else /favicon.ico.
 ICON = "static/icon.svg"
 ICON_LINK = f'<link rel="icon" href="{ICON}" type="image/svg+xml" />'
-ICON_PATHS = ("/favicon.ico", f"/{ICON}")  # answered to everybody: a page without access has an icon too
+ICON_PATHS = ("/favicon.ico", f"/{ICON}")  # open: a page without access has an icon too
 LOOPBACK_NAMES = {"localhost", "127.0.0.1", "::1"}
 
 CONTENT_POLICY = (
@@ -34,14 +38,14 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",  # the token is never in one
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Cache-Control": "no-cache",  # asked for again, and answered "not modified"
+    "Cache-Control": "no-cache",  # requested again, and answered "not modified"
 }
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 class Access:
-    """Checks requests. `middleware` is that of an aiohttp application."""
+    """Checks of requests, as the `middleware` of an aiohttp application."""
 
     def __init__(
         self,
@@ -52,8 +56,8 @@ class Access:
         open_paths: Iterable[str] = (),
         first_page: str = "",
     ):
-        """host: that is listened on; open_paths: further prefixes of paths that are answered without the cookie, as
-        those that carry a ticket of their own; first_page: "#/edit", where the address with the token leads."""
+        """host: the one listened on; open_paths: prefixes of further paths that need no cookie, since their URLs are
+        signed; first_page: "#/edit", where the address with the token leads."""
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
         self.cookie_name = f"kinetix_dist_{port}"
         self._cookie = secrets.token_urlsafe(TOKEN_BYTES)
@@ -72,12 +76,12 @@ class Access:
 
     @staticmethod
     async def add_headers(request: web.Request, response: web.StreamResponse) -> None:
-        """For `on_response_prepare`: every answer, errors too, says what a browser may do with it."""
+        """Handler of `on_response_prepare`: tells a browser what every response, errors too, may be used for."""
         for name, value in HEADERS.items():
             response.headers.setdefault(name, value)
 
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        problem = self.refusal_of_place(request.headers.get("Host"), request.headers.get("Origin"))
+        problem = self.refusal_of_origin(request.headers.get("Host"), request.headers.get("Origin"))
         if problem is not None:
             return web.Response(status=403, text=problem + "\n")
         if "token" in request.query:
@@ -88,8 +92,8 @@ class Access:
             )
         return await handler(request)
 
-    def refusal_of_place(self, host: str | None, origin: str | None) -> str | None:
-        """Why a request with these headers is refused, in one line; None: it is not."""
+    def refusal_of_origin(self, host: str | None, origin: str | None) -> str | None:
+        """Reason in one line for which a request with these headers is refused; None: it is not."""
         name = _host_name(host)
         if name is None or not (name in self._own_names or name in self._allowed):
             return f"host {name or host!r} is not served; start with --allow-host {name or 'NAME'} if it is yours"
@@ -102,9 +106,9 @@ class Access:
         return None
 
     def _exchange(self, request: web.Request) -> web.Response:
-        """A page that leads on to the address without the token, with the cookie.
+        """Page that leads on to the address without the token, with the cookie.
 
-        A redirect would not do: where a link of another site led here, it carries no cookie of SameSite=Strict.
+        A redirect would carry no cookie of SameSite=Strict where a link of another site led here.
         """
         if request.method != "GET" or not hmac.compare_digest(request.query["token"].encode(), self.token.encode()):
             return web.Response(
@@ -124,7 +128,7 @@ class Access:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach what listens there."""
+    """True where only this machine can reach a server that listens on the host."""
     return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
 
 
@@ -141,8 +145,34 @@ def _is_address(host: str) -> bool:
 
 
 def _host_name(netloc: str | None) -> str | None:
-    """Without its port, lower case; None for none or one that is malformed."""
+    """Host without its port, in lower case; None for a missing or malformed one."""
     try:
         return urlsplit(f"//{netloc}").hostname if netloc else None
     except ValueError:
         return None
+
+
+VALID_SECONDS = 600.0
+
+
+class UrlSigner:
+    """Signatures of URLs of single files, for requests that carry no cookie."""
+
+    def __init__(self) -> None:
+        self._key = secrets.token_bytes(32)
+
+    def sign(self, name: str, now: float | None = None) -> str:
+        """Signature for a file name, valid for VALID_SECONDS from now (unix time s) on."""
+        until = int((time.time() if now is None else now) + VALID_SECONDS)
+        return f"{until}-{self._code(name, until)}"
+
+    def is_valid(self, signature: str, name: str, now: float | None = None) -> bool:
+        """True for a signature of ours, for this name, that has not expired."""
+        until, _, code = signature.partition("-")
+        if not (until.isascii() and until.isdigit() and len(until) < 16):
+            return False
+        is_ours = hmac.compare_digest(code.encode(), self._code(name, int(until)).encode())
+        return is_ours and (time.time() if now is None else now) < int(until)
+
+    def _code(self, name: str, until: int) -> str:
+        return hmac.new(self._key, f"{until} {name}".encode(), "sha256").hexdigest()

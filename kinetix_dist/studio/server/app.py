@@ -3,7 +3,7 @@
     browser --HTTP, one websocket--> app --(threads)--> run directories, read only
                                       |--(pipe)--> engine worker: draws, plays and decodes levels
 
-Every answer is made from files when it is asked for; nothing is kept but what runs were read so far.
+Every response is made from files when it is requested. Only runs that were read are cached.
 """
 
 from __future__ import annotations
@@ -11,27 +11,27 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import errno
 import logging
+import signal
+import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 
 from aiohttp import web
 
 from kinetix_dist.errors import UserError, one_line
-from kinetix_dist.studio.runs.levels import LevelQueryError
 from kinetix_dist.studio.runs.run_files import RunFileError
 from kinetix_dist.studio.runs.series import AxisError
+from kinetix_dist.studio.runs.snapshot_levels import LevelQueryError
 from kinetix_dist.studio.server.access import Access, Handler
-from kinetix_dist.studio.server.answers import BadRequestError, error_response
 from kinetix_dist.studio.server.channel import Channel
-from kinetix_dist.studio.server.compare_pages import ComparePages
-from kinetix_dist.studio.server.curriculum_pages import CurriculumPages
 from kinetix_dist.studio.server.editor_pages import EditorConfig, EditorPages
-from kinetix_dist.studio.server.level_pages import LevelPages, worker_error_response
-from kinetix_dist.studio.server.rerun_viewer import RerunViewer
-from kinetix_dist.studio.server.run_pages import RunPages
+from kinetix_dist.studio.server.level_pages import CurriculumPages, LevelPages, worker_error_response
+from kinetix_dist.studio.server.rerun_viewer import OPEN_PATH, RerunViewer
+from kinetix_dist.studio.server.responses import BadRequestError, StaticFiles, error_response
+from kinetix_dist.studio.server.run_pages import ComparePages, RunPages
 from kinetix_dist.studio.server.run_service import RunService, UnknownRunError
-from kinetix_dist.studio.server.static_files import StaticFiles
 from kinetix_dist.studio.server.worker_client import WorkerClient, WorkerError
 from kinetix_dist.telemetry.curriculum_log import SnapshotError
 
@@ -42,19 +42,19 @@ MAX_BODY_BYTES = 8 << 20
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ServerConfig:
-    """What is served, where, to whom."""
+    """Runs that are served, where, and to whom."""
 
     paths: tuple[Path, ...] = (Path("runs"),)  # runs, and directories of runs
     port: int = DEFAULT_PORT
     host: str = "127.0.0.1"
-    allowed_hosts: tuple[str, ...] = ()  # further names in Host and Origin, of a proxy say
+    allowed_hosts: tuple[str, ...] = ()  # further names in Host and Origin, such as a proxy's
     has_play: bool = True  # whether the engine worker may be started
     editor: EditorConfig = dataclasses.field(default_factory=EditorConfig)
     first_page: str = ""  # the part of the address behind # that the printed address leads to
 
 
 def make_app(config: ServerConfig, access: Access) -> web.Application:
-    """Raises UserError for paths that hold no runs."""
+    """Application with all pages. Raises UserError for paths that hold no runs."""
     service = RunService(config.paths)
     worker = WorkerClient(is_allowed=config.has_play)
     channels: set[Channel] = set()
@@ -74,7 +74,7 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
     async def end_worker(app: web.Application) -> None:
         await worker.close()
 
-    middlewares = [access.middleware, _errors_are_lines, _new_runs_are_found(service)]
+    middlewares = [access.middleware, one_line_errors, _find_new_runs(service)]
     app = web.Application(middlewares=middlewares, client_max_size=MAX_BODY_BYTES)
     app.on_response_prepare.append(access.add_headers)
     rerun = RerunViewer(service, worker)
@@ -96,9 +96,11 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
 
 
 @web.middleware
-async def _errors_are_lines(request: web.Request, handler: Handler) -> web.StreamResponse:
-    """What was wrong with a request or a file, as one line. Anything else is a bug: the console gets its traceback, and
-    the page a line that says so."""
+async def one_line_errors(request: web.Request, handler: Handler) -> web.StreamResponse:
+    """Middleware: turns what is wrong with a request or a file into one line.
+
+    Anything else is a bug: the console gets its traceback, and the page a line that says so.
+    """
     try:
         return await handler(request)
     except UnknownRunError as error:
@@ -116,7 +118,7 @@ async def _errors_are_lines(request: web.Request, handler: Handler) -> web.Strea
         return error_response(500, f"a mistake of the server ({type(error).__name__}: {error}); its console says more")
 
 
-def _new_runs_are_found(service: RunService) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
+def _find_new_runs(service: RunService) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
     @web.middleware
     async def look(request: web.Request, handler: Handler) -> web.StreamResponse:
         if "run" in request.match_info:
@@ -135,3 +137,63 @@ def _following(service: RunService) -> Callable[[web.Application], AsyncIterator
             await task
 
     return follow
+
+
+MAX_PORTS = 50  # that are tried, from the requested one on
+SHUTDOWN_SECONDS = 2.0  # for pages that do not close their connection
+
+
+def serve(config: ServerConfig, listening: Callable[[str, int], None]) -> None:
+    """Runs the server until SIGINT or SIGTERM. `listening(token, port)` is called once requests are answered.
+
+    Raises UserError: no port is free, a host that is not this machine's, paths that hold no runs.
+    """
+    sockets = _listen(config.host, config.port)
+    port = sockets.getsockname()[1]
+    with sockets:
+        access = Access(
+            port=port,
+            host=config.host,
+            allowed_hosts=config.allowed_hosts,
+            open_paths=[OPEN_PATH],
+            first_page=config.first_page,
+        )
+        app = make_app(config, access)
+        asyncio.run(_serve(app, sockets, lambda: listening(access.token, port)))
+
+
+async def _serve(app: web.Application, listener: socket.socket, listening: Callable[[], None]) -> None:
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ended.set)
+    runner = web.AppRunner(app, access_log=None, shutdown_timeout=SHUTDOWN_SECONDS)  # a log would hold the token
+    await runner.setup()
+    try:
+        await web.SockSite(runner, listener).start()
+        listening()
+        await ended.wait()
+    finally:
+        await runner.cleanup()
+
+
+def _listen(host: str, first_port: int) -> socket.socket:
+    """Socket that listens at the first free port from `first_port` on; 0: any. Raises UserError."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    last_port = min(first_port + MAX_PORTS - 1, 65535) if first_port else 0
+    for port in range(first_port, last_port + 1):
+        listener = socket.socket(family, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((host, port))
+            listener.listen()
+            return listener
+        except OSError as error:
+            listener.close()
+            if error.errno == errno.EADDRINUSE:
+                continue
+            if error.errno == errno.EACCES:
+                raise UserError(f"--port {port} may not be listened on; choose one from 1024 on") from error
+            reason = error.strerror or str(error)
+            raise UserError(f"--host {host} cannot be listened on ({reason}); leave it out for 127.0.0.1") from error
+    raise UserError(f"ports {first_port} to {last_port} are all busy; choose another with --port")

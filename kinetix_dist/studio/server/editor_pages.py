@@ -1,5 +1,6 @@
-"""What the editor asks over HTTP: level sets, and the level files of the command line. Checks, play and changes by the
-engine worker go over the channel (play_channel.py).
+"""HTTP API of the editor: level sets, and the level files named on the command line.
+
+Checks, play and changes by the engine worker go over the channel (play_channel.py).
 
     GET api/engine                sizes, walls, palette, mutators, generators, pretrained policies
     GET api/levels                {sets: [{name, description, size, count}], files: {...} or null, opens, plays}
@@ -18,10 +19,9 @@ from typing import Any
 
 from aiohttp import web
 
-from kinetix_dist.level.paths import levels_root
-from kinetix_dist.level.set_files import designed_sets
-from kinetix_dist.studio.server.answers import BadRequestError, error_response, json_response
+from kinetix_dist.level.level_data import designed_sets, levels_root
 from kinetix_dist.studio.server.level_files import ConflictError, FileNameError, LevelFiles
+from kinetix_dist.studio.server.responses import BadRequestError, error_response, json_response
 from kinetix_dist.studio.server.worker_client import WorkerClient
 from kinetix_dist.text_files import read_text
 
@@ -30,7 +30,7 @@ MAX_GALLERY = 500  # files whose texts are sent at once
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EditorConfig:
-    """What `kinetix-dist edit` or `levels play` was given."""
+    """Arguments of `kinetix-dist edit` or `levels play`."""
 
     files: LevelFiles | None = None  # None: nothing can be saved here, levels are downloaded
     # The level that is shown first: "designed/s/hop_home", "file/mine.json"; None: the gallery.
@@ -84,7 +84,7 @@ class EditorPages:
         )
 
     async def files(self, request: web.Request) -> web.Response:
-        """All that are there; the texts of the first MAX_GALLERY."""
+        """Names of all level files, and texts of the first MAX_GALLERY."""
         files = self._named_files()
         names = await asyncio.to_thread(files.names)
         return json_response({"files": await asyncio.to_thread(_gallery, files, names), "count": len(names)})
@@ -112,7 +112,7 @@ class EditorPages:
 
 
 def _expected(request: web.Request) -> str | None:
-    """The hash that the file has to have; None: it has to be new."""
+    """Hash that the file must have; None: it must be new."""
     match, none_match = request.headers.get("If-Match"), request.headers.get("If-None-Match")
     if none_match == "*" and match is None:
         return None

@@ -1,7 +1,7 @@
 """Level files of the directory (or the one file) that a person named on the command line: listed, read, saved.
 
-A file is known by the SHA-256 of its bytes. Who saves says which bytes the file had when it was read; a file that was
-changed meanwhile is left as it is. Saving writes beside the file and renames: it is there as a whole, or as before.
+A file is known by the SHA-256 of its bytes. Saving names the hash that the file had when it was read: a file that
+changed since is left as it is. Saving is atomic: the file is new as a whole, or as before.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ MAX_LISTED = 2000
 
 
 class FileNameError(ValueError):
-    """What was asked for is no level file of the directory."""
+    """Name of no level file of the directory."""
 
 
 class ConflictError(Exception):
-    """The file is not what it was when it was read. `found`: the hash of what it is now, None: it is gone."""
+    """The file changed since it was read. `found`: its hash now; None: it is gone."""
 
     def __init__(self, text: str, found: str | None) -> None:
         super().__init__(text)
@@ -34,7 +34,7 @@ class ConflictError(Exception):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LevelFile:
-    """A file as it was read."""
+    """Level file as it was read."""
 
     name: str  # relative to the directory, with /
     text: str
@@ -43,13 +43,13 @@ class LevelFile:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LevelFiles:
-    """`only`: the one file that is listed, read and saved; None: all of the directory, and folders in it."""
+    """Level files of a directory and of folders in it; `only`: the one that is listed, read and saved, None: all."""
 
     directory: Path
     only: str | None = None
 
     def names(self) -> list[str]:
-        """Of the files that are there, sorted; at most MAX_LISTED."""
+        """Sorted names of existing level files, at most MAX_LISTED."""
         if self.only is not None:
             return [self.only] if (self.directory / self.only).is_file() else []
         found = [*self.directory.glob(f"*{SUFFIX}"), *self.directory.glob(f"*/*{SUFFIX}")]
@@ -57,7 +57,7 @@ class LevelFiles:
         return sorted(name for name in names if self._is_name(name))[:MAX_LISTED]
 
     def read(self, name: str) -> LevelFile:
-        """Raises FileNameError, FileNotFoundError, OSError; UnicodeDecodeError is a FileNameError too."""
+        """Reads a file. Raises FileNameError (also for what is no UTF-8), FileNotFoundError, OSError."""
         path = self._path(name)
         with path.open("rb") as file:
             content = file.read(MAX_FILE_BYTES + 1)
@@ -70,7 +70,7 @@ class LevelFiles:
         return LevelFile(name=name, text=text, hash=hash_of(content))
 
     def save(self, name: str, text: str, *, was: str | None) -> str:
-        """The hash of the file as it is now. was: the hash that it must have; None: it must not be there.
+        """Saves a text and returns the hash of the file. was: the hash that it must have before; None: it must be new.
 
         Raises FileNameError, ConflictError, OSError (a full disk: the file is as before).
         """
@@ -96,7 +96,7 @@ class LevelFiles:
         return path
 
     def _is_name(self, name: str) -> bool:
-        """Whether it is FILE.json or FOLDER/FILE.json, nothing hidden, and no path elsewhere."""
+        """True for FILE.json or FOLDER/FILE.json, nothing hidden, and no path elsewhere."""
         parts = name.split("/")
         plain = all(part and not part.startswith(".") and part.isprintable() and "\\" not in part for part in parts)
         return plain and len(parts) <= 2 and name.endswith(SUFFIX) and len(name) <= 200
@@ -107,7 +107,7 @@ def hash_of(content: bytes) -> str:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    """The file, as a whole or not at all, with the permissions that it had."""
+    """Replaces a file atomically; it keeps its permissions."""
     number, draft = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
     try:
         with open(number, "wb") as file:

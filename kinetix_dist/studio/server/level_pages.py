@@ -1,6 +1,6 @@
-"""What pages ask of levels and rollouts: answered by the engine worker, which reads files of runs that are served.
+"""HTTP API of levels, curricula and recordings of runs. The engine worker draws and decodes levels and rollouts.
 
-Files are named by run and name; a name that is no plain file name, or leads out of its run, is not there.
+Files are named by run and name. A name that is no plain file name, or leads out of its run, is not found.
 """
 
 from __future__ import annotations
@@ -14,10 +14,19 @@ from typing import Any
 from aiohttp import web
 
 from kinetix_dist.studio.runs import run_files
-from kinetix_dist.studio.server.answers import COMPRESS_FROM_BYTES, BadRequestError, error_response, json_response
+from kinetix_dist.studio.runs.refreshes import Refreshes
+from kinetix_dist.studio.runs.snapshot_levels import level_history, level_page
+from kinetix_dist.studio.server.responses import (
+    COMPRESS_FROM_BYTES,
+    BadRequestError,
+    error_response,
+    json_response,
+    number,
+)
 from kinetix_dist.studio.server.run_service import RunService, UnknownRunError
 from kinetix_dist.studio.server.worker_client import OFF, WorkerClient, WorkerError
 from kinetix_dist.studio.worker.wire import BAD_REQUEST, BUSY, NOT_FOUND, TOO_LARGE
+from kinetix_dist.telemetry.curriculum_log import REFRESH
 
 MAX_THUMBNAILS = 1024  # of one request
 STATUS_OF_CODE = {BAD_REQUEST: 400, NOT_FOUND: 404, TOO_LARGE: 413, BUSY: 503, OFF: 503}
@@ -45,7 +54,7 @@ class LevelPages:
         return json_response((await self._worker.hello())["palette"])
 
     async def thumbnails(self, request: web.Request) -> web.Response:
-        """?indices=0,1,2: [{index, display, poses}]"""
+        """Pictures of levels: ?indices=0,1,2 gives [{index, display, poses}]."""
         indices = _indices(request.query.get("indices", ""))
         kind = request.match_info["kind"]
         fields = {
@@ -60,7 +69,7 @@ class LevelPages:
         return response
 
     async def document(self, request: web.Request) -> web.Response:
-        """A level as a file in our format."""
+        """Download of a level as a file in our format."""
         info = request.match_info
         level = {"run": str(self._service.path_of(info["run"])), info["kind"]: int(info["number"])}
         reply = await self._worker.request("document", {"level": {**level, "index": int(info["index"])}})
@@ -70,7 +79,7 @@ class LevelPages:
         return response
 
     async def recordings(self, request: web.Request) -> web.Response:
-        """{files: [{file, path, bytes, modified, rollouts, problems}]}, newest first."""
+        """Recordings {files: [{file, path, bytes, modified, rollouts, problems}]}, newest first."""
         run = self._service.path_of(request.match_info["run"])
         files = await asyncio.to_thread(recording_files, run)
         listed = []
@@ -89,7 +98,7 @@ class LevelPages:
         return json_response({"files": listed})
 
     async def recording(self, request: web.Request) -> web.Response:
-        """u32 size of the JSON | JSON as docs/play_protocol.md has it | arrays, float32; all little-endian."""
+        """Rollout: u32 size of the JSON | JSON as in docs/play_protocol.md | float32 arrays; all little-endian."""
         path = recording_path(self._service.path_of(request.match_info["run"]), request.match_info["file"])
         fields = {"file": str(path), "index": int(request.match_info["index"])}
         reply = await self._worker.request("recording", fields)
@@ -103,18 +112,18 @@ class LevelPages:
 
 
 def recording_files(run: Path) -> list[Path]:
-    """The recordings of a run that lie in it, newest first."""
+    """Recordings that lie in the directory of a run, newest first."""
     folder = run / run_files.RECORDINGS
     try:
         found = [path for path in folder.iterdir() if path.suffix == ".mcap" and not path.name.startswith(".")]
         inside = [path for path in found if is_inside(path, run) and path.is_file()]
         return sorted(inside, key=lambda path: path.stat().st_mtime_ns, reverse=True)
-    except OSError:  # there is no such folder, or a file went meanwhile: asked for again, they are as they are
+    except OSError:  # no such folder, or a file was removed meanwhile: the next request lists what is left
         return []
 
 
 def recording_path(run: Path, name: str) -> Path:
-    """Of a file that a page names. Raises UnknownRunError where there is none in the run."""
+    """Path of a recording that a page names. Raises UnknownRunError where the run has none of that name."""
     path = run / run_files.RECORDINGS / name
     if Path(name).name != name or path.suffix != ".mcap" or not is_inside(path, run) or not path.is_file():
         raise UnknownRunError(f"there is no recording {name!r} in this run (any more)")
@@ -122,12 +131,12 @@ def recording_path(run: Path, name: str) -> Path:
 
 
 def is_inside(path: Path, run: Path) -> bool:
-    """Whether a path, links followed, lies in a run directory."""
+    """True where a path, links followed, lies in a run directory."""
     return path.resolve().is_relative_to(run.resolve())
 
 
 def worker_error_response(error: WorkerError) -> web.Response:
-    """One line, with a status that fits."""
+    """One-line response with the HTTP status of the error's code."""
     return error_response(STATUS_OF_CODE.get(error.code, 502), str(error))
 
 
@@ -136,3 +145,73 @@ def _indices(text: str) -> list[int]:
     if not all(part.isascii() and part.isdigit() and len(part) < 9 for part in parts) or len(parts) > MAX_THUMBNAILS:
         raise BadRequestError(f"indices is {text[:40]!r}; give up to {MAX_THUMBNAILS} numbers, as 0,1,2")
     return [int(part) for part in parts]
+
+
+LEVELS_PER_PAGE = 96
+MAX_LEVELS_PER_PAGE = 4096
+SNAPSHOT = "{kind:refresh|buffer}/{number:[0-9]+}"
+
+
+class CurriculumPages:
+    """Handlers of `api/runs/{run}/curriculum...`. Summaries are cached until a file changes."""
+
+    def __init__(self, service: RunService) -> None:
+        self._service = service
+        self._refreshes: dict[Path, Refreshes] = {}
+
+    def routes(self) -> list[web.RouteDef]:
+        base = "/api/runs/{run}/curriculum"
+        return [
+            web.get(base, self.curriculum),
+            web.get(f"{base}/{SNAPSHOT}/levels", self.levels),
+            web.get(f"{base}/{SNAPSHOT}/levels/{{index:[0-9]{{1,8}}}}/history", self.history),
+        ]
+
+    async def curriculum(self, request: web.Request) -> web.Response:
+        """Summaries of all snapshots, see `refreshes.Refreshes.summaries`."""
+        return json_response(await asyncio.to_thread(self._of(request).summaries))
+
+    async def levels(self, request: web.Request) -> web.Response:
+        """Levels of a snapshot: ?sort=score&order=down&filter=joints>=1&offset=0&limit=96, see `level_page`."""
+        query, refreshes = request.query, self._of(request)
+        kind, snapshot_number = request.match_info["kind"], int(request.match_info["number"])
+        offset = int(number(query, "offset", 0, low=0))
+        limit = int(number(query, "limit", LEVELS_PER_PAGE, low=1, high=MAX_LEVELS_PER_PAGE))
+
+        def answer() -> dict:
+            try:
+                snapshot = refreshes.snapshot(kind, snapshot_number)
+            except (KeyError, FileNotFoundError):
+                raise UnknownRunError(f"there is no {kind} {snapshot_number} in this run (any more)") from None
+            plays = refreshes.plays(snapshot_number) if kind == REFRESH else None
+            return level_page(
+                snapshot,
+                plays,
+                sort=query.get("sort", "place"),
+                descending=query.get("order", "up") == "down",
+                filter_text=query.get("filter", ""),
+                offset=offset,
+                limit=limit,
+            )
+
+        return json_response(await asyncio.to_thread(answer))
+
+    async def history(self, request: web.Request) -> web.Response:
+        """History of a level, see `level_history`; with `problems`."""
+        info, refreshes = request.match_info, self._of(request)
+        kind, snapshot_number, index = info["kind"], int(info["number"]), int(info["index"])
+
+        def answer() -> dict:
+            snapshots, windows, problems = refreshes.read()
+            try:
+                found = level_history(snapshots, windows, kind, snapshot_number, index)
+            except (KeyError, IndexError):
+                text = f"there is no level {index} of {kind} {snapshot_number} in this run (any more)"
+                raise UnknownRunError(text) from None
+            return found | {"problems": problems}
+
+        return json_response(await asyncio.to_thread(answer))
+
+    def _of(self, request: web.Request) -> Refreshes:
+        path = self._service.path_of(request.match_info["run"])
+        return self._refreshes.setdefault(path, Refreshes(path))

@@ -32,24 +32,24 @@ MAX_REQUESTS = 32  # of one page at a time
 
 
 class PlayChannel:
-    """Of one page. `say(content, fields)` and `send_frame(bytes)` must not wait."""
+    """Sessions and requests of one page. `send(content)` and `send_frame(bytes)` must not wait."""
 
     def __init__(
         self,
         service: RunService,
         worker: WorkerClient,
-        say: Callable[[dict[str, Any]], None],
+        send: Callable[[dict[str, Any]], None],
         send_frame: Callable[[bytes], None],
     ) -> None:
         self._service = service
         self._worker = worker
-        self._say = say
+        self._send = send
         self._send_frame = send_frame
         self._sessions: set[int] = set()
         self._requests: dict[str, asyncio.Task[None]] = {}
 
-    async def hear(self, kind: str, message: dict[str, Any]) -> bool:
-        """Whether the message was one of play. Raises KeyError, TypeError and LookupError for malformed ones."""
+    async def on_message(self, kind: str, message: dict[str, Any]) -> bool:
+        """Handles a message of play; False for any other. Raises LookupError or TypeError for malformed ones."""
         if kind == "play.input":
             if message["session"] in self._sessions:
                 await self._worker.send(kind, {name: message[name] for name in ("session", "seq", "action")})
@@ -67,7 +67,7 @@ class PlayChannel:
         for task in list(self._requests.values()):
             task.cancel()
         for session in list(self._sessions):
-            self._worker.forget(session)
+            self._worker.unsubscribe(session)
             with contextlib.suppress(WorkerError):  # the worker is gone, and the session with it
                 await self._worker.request("play.close", {"session": session})
         self._sessions.clear()
@@ -86,19 +86,19 @@ class PlayChannel:
 
     async def _answer(self, number: str, kind: str, fields: dict[str, Any]) -> None:
         def progress(content: dict[str, Any]) -> None:
-            self._say({**content, "type": "progress", "id": number})
+            self._send({**content, "type": "progress", "id": number})
 
         try:
             reply = await self._worker.request(kind, fields, progress)
             if kind == "play.open":
                 self._sessions.add(reply.content["session"])
-                await self._worker.listen(reply.content["session"], self._forward)
+                await self._worker.subscribe(reply.content["session"], self._forward)
             elif kind == "play.close":
-                self._worker.forget(fields["session"])
+                self._worker.unsubscribe(fields["session"])
                 self._sessions.discard(fields["session"])
-            self._say({**reply.content, "type": "reply", "id": number})
+            self._send({**reply.content, "type": "reply", "id": number})
         except WorkerError as error:
-            self._say({"type": "error", "id": number, "code": error.code, "text": str(error)})
+            self._send({"type": "error", "id": number, "code": error.code, "text": str(error)})
         finally:
             self._requests.pop(number, None)
 
@@ -108,11 +108,11 @@ class PlayChannel:
         else:
             if message.content["type"] == "error":
                 self._sessions.discard(message.content["session"])
-            self._say(message.content)
+            self._send(message.content)
 
-    def _with_path(self, given: dict[str, Any]) -> dict[str, Any]:
-        """With the path of a run instead of its id; files that the page could name otherwise are refused."""
-        found = dict(given)
+    def _with_path(self, fields: dict[str, Any]) -> dict[str, Any]:
+        """Fields with the path of a run instead of its id. Raises LookupError for a checkpoint named by a path."""
+        found = dict(fields)
         if "run" in found:
             found["run"] = str(self._service.path_of(str(found["run"])))
         if "recording" in found:

@@ -1,8 +1,8 @@
 """rerun in the page: its own web files, of the installed version, and rollouts as .rrd.
 
-rerun hands out its files only while it serves them: it is started once on loopback, asked for three files, and ended.
-They are kept in the user's cache by version. An .rrd is made by the engine worker when it is asked for, into a
-directory that goes with the server.
+rerun hands out its files only while it serves them: it is started once on loopback, three files are fetched, and it is
+ended. The files are cached in the user's cache by version. The engine worker makes an .rrd when it is requested, in a
+directory that is removed with the server.
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ import aiohttp
 from aiohttp import web
 
 from kinetix_dist.child_python import command_of
-from kinetix_dist.studio.server.answers import error_response, json_response
+from kinetix_dist.program_cache import default_directory
+from kinetix_dist.studio.server.access import UrlSigner
 from kinetix_dist.studio.server.level_pages import recording_path
+from kinetix_dist.studio.server.responses import error_response, json_response
 from kinetix_dist.studio.server.run_service import RunService
-from kinetix_dist.studio.server.tickets import Tickets
 from kinetix_dist.studio.server.worker_client import WorkerClient
-from kinetix_dist.telemetry.compile_cache import default_directory
 
 FILES = {"index.html": "text/html", "re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
+FOREIGN_LINKS = re.compile(rb'<link\b[^>]*href="https?://[^>]*>\s*')  # of its page: web fonts, which it does without
 START_SECONDS = 30.0
-OPEN_PATH = "/rrd/"  # its requests carry a ticket instead of the cookie
-# Its page has scripts and styles inline, and runs WebAssembly; it may ask nobody but this server.
+OPEN_PATH = "/rrd/"  # its URLs are signed instead
+# Its page has scripts and styles inline, and runs WebAssembly; it may connect to this server only.
 POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; connect-src 'self'; font-src 'self' data:; worker-src 'self' blob:; "
@@ -42,18 +43,18 @@ POLICY = (
 
 
 class RerunError(Exception):
-    """rerun is not there, or does not hand out its files: one line."""
+    """rerun is not installed, or does not hand out its files: one line."""
 
 
 class RerunViewer:
     """Handlers of `rerun/...` and `rrd/...`."""
 
     def __init__(self, service: RunService, worker: WorkerClient, *, cache: Path | None = None) -> None:
-        """cache: where rerun's files are kept; None: in the user's cache directory."""
+        """cache: where rerun's files are cached; None: in the user's cache directory."""
         self._service = service
         self._worker = worker
         self._cache = cache
-        self._tickets = Tickets()
+        self._signer = UrlSigner()
         self._fetching = asyncio.Lock()
         self._making = asyncio.Lock()  # so that none is made twice
         self._rrds: dict[str, Path] = {}
@@ -62,25 +63,25 @@ class RerunViewer:
     def routes(self) -> list[web.RouteDef]:
         return [
             web.get("/rerun/{name}", self.file),
-            web.get(OPEN_PATH + "{ticket}/{name}", self.rrd),
+            web.get(OPEN_PATH + "{signature}/{name}", self.rrd),
             web.get("/api/runs/{run}/recordings/{file}/{index:[0-9]{1,8}}/rrd", self.make),
         ]
 
     async def lifetime(self, app: web.Application) -> AsyncIterator[None]:
-        """For `cleanup_ctx`: the directory of .rrd files."""
+        """Context of the application (`cleanup_ctx`): the directory of .rrd files."""
         with tempfile.TemporaryDirectory(prefix="kinetix_dist_rrd_") as directory:
             self._directory = Path(directory)
             yield
 
     async def make(self, request: web.Request) -> web.Response:
-        """{viewer, rrd}: addresses of the viewer and of a rollout's .rrd, which the viewer wants whole as `url`."""
+        """Addresses {viewer, rrd} of the viewer and of a rollout's .rrd, whose full URL the viewer takes as `url`."""
         info = request.match_info
         path = recording_path(self._service.path_of(info["run"]), info["file"])
         try:
             name, _ = await asyncio.gather(self._rrd_of(path, int(info["index"])), self._files())
         except RerunError as error:
             return error_response(502, str(error))
-        rrd = f"rrd/{self._tickets.ticket(name)}/{name}"
+        rrd = f"rrd/{self._signer.sign(name)}/{name}"
         return json_response({"viewer": "rerun/index.html", "rrd": rrd})
 
     async def file(self, request: web.Request) -> web.StreamResponse:
@@ -98,12 +99,12 @@ class RerunViewer:
 
     async def rrd(self, request: web.Request) -> web.StreamResponse:
         name = request.match_info["name"]
-        if not self._tickets.is_good(request.match_info["ticket"], name) or name not in self._rrds:
-            return error_response(403, "the ticket of this rollout has expired; open it from its page again")
+        if not self._signer.is_valid(request.match_info["signature"], name) or name not in self._rrds:
+            return error_response(403, "the address of this rollout has expired; open it from its page again")
         return web.FileResponse(self._rrds[name], headers={"Content-Type": "application/octet-stream"})
 
     async def _rrd_of(self, recording: Path, index: int) -> str:
-        """The name of the .rrd of a rollout, made if it is not there."""
+        """Name of the .rrd of a rollout, made if it does not exist."""
         status = recording.stat()
         key = f"{recording} {status.st_mtime_ns} {status.st_size} {index}"
         name = f"{recording.stem}_{index:03d}_{hashlib.sha256(key.encode()).hexdigest()[:12]}.rrd"
@@ -116,12 +117,12 @@ class RerunViewer:
         return name
 
     async def _files(self) -> Path:
-        """The directory with rerun's files. Fetched once for each version that is installed."""
+        """Directory of rerun's files, fetched once per installed version."""
         try:
             installed = version("rerun-sdk")
         except PackageNotFoundError:
             raise RerunError("rerun is not installed; install rerun-sdk, or use the player of this page") from None
-        folder = (self._cache or default_directory().parent) / f"rerun-{installed}"
+        folder = (self._cache or default_directory().parent) / f"rerun-web-{installed}"
         async with self._fetching:
             if not all((folder / f"{name}.gz_").is_file() for name in FILES):
                 try:
@@ -133,7 +134,7 @@ class RerunViewer:
 
 
 async def _fetch(folder: Path) -> None:
-    """rerun's web files from rerun itself, which is ended afterwards."""
+    """Fetches rerun's web files from rerun itself, which is ended afterwards."""
     port, data_port = _free_port(), _free_port()
     process = await asyncio.create_subprocess_exec(
         *command_of("rerun", "--serve-web", "--bind", "127.0.0.1", "--port", data_port, "--web-viewer-port", port),
@@ -144,7 +145,9 @@ async def _fetch(folder: Path) -> None:
         async with asyncio.timeout(START_SECONDS), aiohttp.ClientSession() as session:
             for name in FILES:
                 content = await _get(session, f"http://127.0.0.1:{port}/{name}", process)
-                await asyncio.to_thread(_keep, folder, name, content)
+                await asyncio.to_thread(
+                    _store, folder, name, FOREIGN_LINKS.sub(b"", content) if name.endswith(".html") else content
+                )
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, 9)
@@ -163,8 +166,8 @@ async def _get(session: aiohttp.ClientSession, address: str, process: asyncio.su
             await asyncio.sleep(0.1)
 
 
-def _keep(folder: Path, name: str, content: bytes) -> None:
-    """The file, and compressed beside it, by renames: the second one last, which says that both are there."""
+def _store(folder: Path, name: str, content: bytes) -> None:
+    """Stores a file and its gzip next to it, each by a rename. The gzip comes last: where it exists, both do."""
     folder.mkdir(parents=True, exist_ok=True)
     for suffix, data in (("", content), (".gz_", gzip.compress(content, 6))):
         draft = folder / f".{name}{suffix}.{os.getpid()}"

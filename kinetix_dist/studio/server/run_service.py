@@ -1,8 +1,8 @@
-"""Runs for all pages: found, read and followed once, however many pages look at them.
+"""Shared readers of runs: each run is found, read and followed once, however many pages watch it.
 
     every second:  RunReader.poll (in a thread) of each run that a page watches --> its channels
 
-A run is read when it is first asked for. Polling looks at sizes alone where nothing is new.
+A run is read when it is first requested. Polling looks at sizes only where nothing is new.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ SCAN_SECONDS = 5.0  # between looks for new runs
 
 
 class UnknownRunError(LookupError):
-    """There is no run of that name (any more)."""
+    """No run has that name (any more)."""
 
 
 class Watcher(Protocol):
-    """Whoever wants to hear of a run: a page's channel. Neither method may wait."""
+    """Subscriber to a run, such as the channel of a page. Neither method may wait."""
 
     def changed(self, run_id: str, reader: RunReader, changes: Changes) -> None: ...
 
@@ -50,12 +50,12 @@ class RunService:
         return self.index.runs[run_id]
 
     async def look_for(self, run_id: str) -> None:
-        """Finds a run that began after the last look: a page may be opened on it before the list is."""
+        """Scans for a run that is not known yet: its page may be opened before the list of runs."""
         if run_id not in self.index.runs:
             await self._scan_now()
 
     async def summaries(self) -> list[dict[str, Any]]:
-        """One object for each run, see `dashboard.run_index.summary`."""
+        """Summary of each run, see `run_index.summary`."""
         await self._scan()
         runs = dict(self.index.runs)
         return await asyncio.to_thread(lambda: [summary(name, path) for name, path in runs.items()])
@@ -79,7 +79,7 @@ class RunService:
             self._watchers.get(name, set()).discard(watcher)
 
     async def follow(self) -> None:
-        """Polls what is watched, for ever. A poll that takes long (a disk that hangs) delays the next, no page."""
+        """Polls watched runs forever. A slow poll (a disk that hangs) delays the next poll, but no page."""
         while True:
             started = time.monotonic()
             for run_id in [name for name, watchers in self._watchers.items() if watchers]:
@@ -98,11 +98,11 @@ class RunService:
     async def _read_first(self, run_id: str) -> None:
         loop = asyncio.get_running_loop()
 
-        def tell(bytes_left: int) -> None:
+        def report(bytes_left: int) -> None:
             for watcher in set(self._watchers.get(run_id, ())):
                 watcher.read(run_id, bytes_left)
 
-        await asyncio.to_thread(self._readers[run_id].read_first, lambda left: loop.call_soon_threadsafe(tell, left))
+        await asyncio.to_thread(self._readers[run_id].read_first, lambda left: loop.call_soon_threadsafe(report, left))
 
     async def _poll(self, run_id: str) -> None:
         reader = self._readers[run_id]

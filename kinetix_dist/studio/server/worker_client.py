@@ -1,10 +1,10 @@
-"""The engine worker as the server sees it: started when it is first needed, restarted when it died, ended with us.
+"""Client of the engine worker: starts it when it is first needed, and again after it died; ends it with the server.
 
     page --HTTP, channel--> WorkerClient.request --pipe--> kinetix_dist.studio.worker.process
 
 The worker ends when its pipe closes, so it goes with the server however that ends. docs/play_protocol.md has the
-messages. A worker that says nothing about a request for SILENT_SECONDS is taken for hung and killed; the next request
-starts another.
+messages. A worker that is silent about a request for SILENT_SECONDS counts as hung and is killed; the next
+request starts another.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from kinetix_dist.studio.worker.wire import MAX_MESSAGE_BYTES, PROTOCOL_VERSION,
 SILENT_SECONDS = 120.0
 START_SECONDS = 120.0  # importing jax on a busy machine
 END_SECONDS = 3.0
-LOG_BYTES = 4096  # of its standard error that are kept for the line that says why it ended
+LOG_BYTES = 4096  # of its standard error, for the line that says why it ended
 GONE, HUNG, OFF = "gone", "hung", "off"  # codes of errors that are not the worker's
 
 WORKER = "kinetix_dist.studio.worker.process"
 
 Progress = Callable[[dict[str, Any]], None]
-Hear = Callable[[Message], None]
+OnMessage = Callable[[Message], None]
 
 
 class WorkerError(Exception):
-    """What a request was answered with: a code of docs/play_protocol.md or one of the above, and one line."""
+    """Failed request: a code of docs/play_protocol.md or one of the above, and one line."""
 
     def __init__(self, code: str, text: str) -> None:
         super().__init__(text)
@@ -41,7 +41,7 @@ class WorkerError(Exception):
 
 
 class WorkerClient:
-    """One worker at a time. All methods are called in the event loop."""
+    """Client of one worker at a time. All methods are called in the event loop."""
 
     def __init__(self, *, is_allowed: bool = True, command: tuple[str, ...] | None = None) -> None:
         """is_allowed False: no worker is ever started, and every request is refused. command: starts another worker."""
@@ -52,27 +52,27 @@ class WorkerClient:
 
     @property
     def pid(self) -> int | None:
-        """Of the worker that runs; None: none does."""
+        """Process id of the running worker; None: none runs."""
         return self._worker.process.pid if self._worker is not None and self._worker.is_alive else None
 
     async def hello(self) -> dict[str, Any]:
-        """What the worker said first: sizes, palette, generators. Starts it."""
+        """First message of the worker: sizes, palette, generators. Starts the worker."""
         return (await self._running()).hello
 
     async def request(self, kind: str, fields: dict[str, Any], progress: Progress | None = None) -> Message:
-        """The reply to a request. Cancelling the caller cancels the request. Raises WorkerError."""
+        """Reply to a request. Cancelling the caller cancels the request. Raises WorkerError."""
         return await (await self._running()).request(kind, fields, progress)
 
     async def send(self, kind: str, fields: dict[str, Any]) -> None:
-        """A message that has no reply. Nothing happens where no worker runs: what it was about is gone."""
+        """Sends a message that has no reply. Does nothing where no worker runs: its sessions are gone."""
         if self._worker is not None and self._worker.is_alive:
             await self._worker.send({"type": kind, **fields})
 
-    async def listen(self, session: int, hear: Hear) -> None:
-        """Frames and the end of a session go to `hear`; also an `error`, without id, when the worker is gone."""
-        (await self._running()).sessions[session] = hear
+    async def subscribe(self, session: int, on_message: OnMessage) -> None:
+        """Sends frames and the end of a session to `on_message`; an `error` without id when the worker is gone."""
+        (await self._running()).sessions[session] = on_message
 
-    def forget(self, session: int) -> None:
+    def unsubscribe(self, session: int) -> None:
         if self._worker is not None:
             self._worker.sessions.pop(session, None)
 
@@ -94,15 +94,15 @@ class WorkerClient:
 
 
 class _Worker:
-    """One process, from its start to its end."""
+    """Worker process, from its start to its end."""
 
     def __init__(self, process: asyncio.subprocess.Process) -> None:
         self.process = process
         self.hello: dict[str, Any] = {}
-        self.sessions: dict[int, Hear] = {}
+        self.sessions: dict[int, OnMessage] = {}
         self._next_id = 1
         self._requests: dict[int, tuple[asyncio.Future[Message], Progress | None]] = {}
-        self._heard_at = time.monotonic()
+        self._last_message_at = time.monotonic()
         self._log = b""
         self._greeting: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._end: WorkerError | None = None
@@ -122,7 +122,7 @@ class _Worker:
         try:
             await asyncio.wait_for(asyncio.shield(worker._greeting), START_SECONDS)
         except TimeoutError:
-            worker._kill(WorkerError(HUNG, f"the engine worker was not ready within {START_SECONDS:g} s; ask again"))
+            worker._kill(WorkerError(HUNG, f"the engine worker was not ready within {START_SECONDS:g} s; try again"))
             await worker.close()
             raise WorkerError(HUNG, str(worker._end)) from None
         except WorkerError:
@@ -139,7 +139,7 @@ class _Worker:
         self._next_id += 1
         reply: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
         self._requests[number] = (reply, progress)
-        self._heard_at = time.monotonic()
+        self._last_message_at = time.monotonic()
         try:
             await self.send({**fields, "type": kind, "id": number})
             return await reply
@@ -158,7 +158,7 @@ class _Worker:
             self.process.stdin.write(encode(Message(content)))
             await self.process.stdin.drain()
         except (ConnectionError, OSError):
-            pass  # `_read` hears of its end, and says why to all that wait
+            pass  # `_read` sees its end, and fails all requests with the reason
 
     async def close(self) -> None:
         self._ended(WorkerError(GONE, "the server ends"))
@@ -179,17 +179,17 @@ class _Worker:
                 (size,) = struct.unpack("<I", await self.process.stdout.readexactly(4))
                 if size > MAX_MESSAGE_BYTES:
                     raise ValueError(f"a message of {size} bytes")
-                self._hear(decode(await self.process.stdout.readexactly(size)))
+                self._on_message(decode(await self.process.stdout.readexactly(size)))
         except (asyncio.IncompleteReadError, ConnectionError):
             status = await self.process.wait()
             if status == 0:
-                self._ended(WorkerError(GONE, "the engine worker ended, since nothing was asked of it; ask again"))
+                self._ended(WorkerError(GONE, "the engine worker ended, since it had no requests; try again"))
             else:
                 last = self._log.decode(errors="replace").strip().splitlines()[-1:]
                 why = f": {last[0]}" if last and status > 0 else ""  # one that was killed did not say why
-                self._ended(WorkerError(GONE, f"the engine worker died (exit status {status}){why}; ask again"))
+                self._ended(WorkerError(GONE, f"the engine worker died (exit status {status}){why}; try again"))
         except ValueError as error:
-            self._kill(WorkerError(GONE, f"the engine worker said something that is no message ({error})"))
+            self._kill(WorkerError(GONE, f"the engine worker sent something that is no message ({error})"))
 
     async def _read_log(self) -> None:
         assert self.process.stderr is not None
@@ -199,19 +199,19 @@ class _Worker:
     async def _watch(self) -> None:
         while self.is_alive:
             await asyncio.sleep(min(1.0, SILENT_SECONDS / 4))
-            if self._requests and time.monotonic() - self._heard_at > SILENT_SECONDS:
-                text = f"the engine worker said nothing for {SILENT_SECONDS:g} s and was ended; ask again"
+            if self._requests and time.monotonic() - self._last_message_at > SILENT_SECONDS:
+                text = f"the engine worker was silent for {SILENT_SECONDS:g} s and was ended; try again"
                 self._kill(WorkerError(HUNG, text))
 
-    def _hear(self, message: Message) -> None:
+    def _on_message(self, message: Message) -> None:
         content = message.content
-        self._heard_at = time.monotonic()
+        self._last_message_at = time.monotonic()
         kind, number = content["type"], content.get("id")
         if kind == "hello":
             self._greet(content)
         elif "session" in content and number is None:
-            if (hear := self.sessions.get(content["session"])) is not None:
-                hear(message)
+            if (on_message := self.sessions.get(content["session"])) is not None:
+                on_message(message)
         elif number in self._requests:
             reply, progress = self._requests[number]
             if kind == "progress":
@@ -240,15 +240,15 @@ class _Worker:
         self._ended(error)
 
     def _ended(self, error: WorkerError) -> None:
-        """Tells everybody who waits, once."""
+        """Fails all requests and sessions with the error, once."""
         if self._end is not None:
             return
         self._end = error
         for reply, _ in self._requests.values():
             if not reply.done():
                 reply.set_exception(WorkerError(error.code, str(error)))
-        for session, hear in self.sessions.items():
-            hear(Message({"type": "error", "session": session, "code": error.code, "text": str(error)}))
+        for session, on_message in self.sessions.items():
+            on_message(Message({"type": "error", "session": session, "code": error.code, "text": str(error)}))
         self.sessions.clear()
         if not self._greeting.done():
             self._greeting.set_exception(error)

@@ -42,9 +42,9 @@ function App() {
 
 /** What the pages of a run have in common in their addresses. @param {URLSearchParams} query */
 function shared(query) {
-  const kept = new URLSearchParams();
-  for (const name of ["x", "smooth", "from", "to"]) if (query.get(name)) kept.set(name, query.get(name) ?? "");
-  return kept;
+  const shared = new URLSearchParams();
+  for (const name of ["x", "smooth", "from", "to"]) if (query.get(name)) shared.set(name, query.get(name) ?? "");
+  return shared;
 }
 
 /** @param {{ area: string, run: string | null, page: string }} props */

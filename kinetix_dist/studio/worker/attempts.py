@@ -1,4 +1,4 @@
-"""Many attempts of one level by one policy: what an evaluation does, in pieces, so that it can be watched and ended.
+"""Attempts at one level by one policy: an evaluation in pieces, so that it can be watched and ended.
 
 The numbers are those of `evaluate` on that level alone with the same key.
 """
@@ -24,12 +24,12 @@ from kinetix_dist.level.level import Level
 from kinetix_dist.studio.worker.programs import check_effects
 
 MAX_ATTEMPTS = 1024
-STEPS_AT_ONCE = 8  # between looks at what was asked meanwhile: 0.04 s of 64 worlds of size S, 0.25 s of L
+STEPS_AT_ONCE = 8  # between reports: 0.04 s of 64 worlds of size S, 0.25 s of L
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Progress:
-    """So far."""
+    """Counts so far."""
 
     num_finished: int
     num_solved: int
@@ -45,8 +45,10 @@ def play_attempts(
     seed: int,
     report: Callable[[Progress], None],
 ) -> SolveRate:
-    """First episodes of `attempts` copies of a level (no leading axis), of one where all would be the same. `report`
-    may raise, which ends it."""
+    """Plays first episodes of `attempts` copies of a level (no leading axis); one where all would be the same.
+
+    An exception of `report` ends it.
+    """
     attempts = distinct_attempts(player.policy, attempts)
     prepared, keys = _prepare(env, level, prng.key(seed), attempts)
     check_effects(prepared)
@@ -62,7 +64,7 @@ def play_attempts(
 
 
 def steps_until_noop_solves(env: Environment, level: Level) -> int | None:
-    """Environment steps after which a level is solved by doing nothing; None where it is not within its time."""
+    """Environment steps after which a level is solved by doing nothing; None where it is not within its time limit."""
     player = Player(NoopPolicy(env.action_space))
     rate = play_attempts(env, player, level, attempts=1, seed=0, report=lambda progress: None)
     return round(rate.mean_length) if rate.solved else None

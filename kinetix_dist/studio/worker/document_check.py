@@ -1,4 +1,4 @@
-"""Level documents for an editor: everything that is wrong with one, what is odd, what it holds."""
+"""Check of a level document for an editor: all problems, or warnings and facts."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.level.control import motors_with_effect, pushing_thrusters
 from kinetix_dist.level.fit import capacity_of_size, usage
 from kinetix_dist.level.kinetix_format import is_kinetix_document
-from kinetix_dist.level.level import NUM_WALLS, SIZES, Level
+from kinetix_dist.level.level import NUM_WALLS, SIZES, Level, motors_with_effect, pushing_thrusters
 from kinetix_dist.level.schema import level_from_json
 from kinetix_dist.level.start_warnings import StartWarning, paths_in, start_warnings
 from kinetix_dist.level.validate import LevelFormatError, problems_of
 
-MAX_THINGS = 1000  # shapes, joints or thrusters of a document that is looked at: the largest size has 16
+MAX_ENTRIES = 1000  # shapes, joints or thrusters of a document that is checked: the largest size has 16
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Checked:
-    """What there is to say of a document. Without problems there is a level."""
+    """Result of a check. Without problems there is a level."""
 
     problems: tuple[LevelFormatError, ...]
     level: Level | None = None  # numpy
@@ -29,7 +28,7 @@ class Checked:
 
 
 def check_document(document: Any) -> Checked:
-    """All complaints at once; without any the level, warnings and facts. Nothing is simulated."""
+    """Checks a document: all problems at once; without any the level, warnings and facts. Nothing is simulated."""
     problems = tuple(_problems(document))
     if problems:
         return Checked(problems=problems)
@@ -48,18 +47,18 @@ def _problems(document: Any) -> list[LevelFormatError]:
     if not isinstance(document, dict):
         return [LevelFormatError("", f"is {type(document).__name__}", "give a JSON object")]
     for part in ("shapes", "joints", "thrusters"):
-        things = document.get(part)
-        if isinstance(things, list) and len(things) > MAX_THINGS:
-            return [LevelFormatError(part, f"has {len(things)} entries", f"give at most {MAX_THINGS}")]
+        entries = document.get(part)
+        if isinstance(entries, list) and len(entries) > MAX_ENTRIES:
+            return [LevelFormatError(part, f"has {len(entries)} entries", f"give at most {MAX_ENTRIES}")]
     size = document.get("size")
-    # What depends on the room of a size is asked of the largest where the document names none: that is said already.
+    # A document without a size, itself a problem, is checked against the largest size.
     known = isinstance(size, str) and size in SIZES
     name = size if known else list(SIZES)[-1]
     return list(problems_of(document, capacity_of_size(name), name))
 
 
 def facts_of(level: Level, document: dict[str, Any]) -> dict[str, Any]:
-    """Counts and room of each kind, masses (kg, by path; none: fixed), and colours that something obeys."""
+    """Counts and free slots of each kind, masses (kg, by path; None: fixed), and colours that drive something."""
     scene, capacity, used = level.scene, SIZES[document["size"]], usage(level)
     inverse_mass = np.asarray(scene.shapes.inverse_mass, float)
     masses = {
@@ -70,7 +69,7 @@ def facts_of(level: Level, document: dict[str, Any]) -> dict[str, Any]:
     driven, pushed = motors_with_effect(level), pushing_thrusters(level)
     return {
         "counts": used | {"polygons": used["polygons"] - NUM_WALLS},
-        "room": {kind: getattr(capacity, kind) - count for kind, count in used.items()},
+        "free": {kind: getattr(capacity, kind) - count for kind, count in used.items()},
         "masses": masses,
         "motor_colours": sorted(set(np.asarray(level.motor_colour)[driven].tolist())),
         "thruster_colours": sorted(set(np.asarray(level.thruster_colour)[pushed].tolist())),

@@ -1,4 +1,4 @@
-"""Frames: one state of a session as bytes, which a browser gets as they are. Declared here and nowhere else; no jax.
+"""Frames: a state of a session as bytes, which a browser gets as they are. No jax.
 
 FIELDS of HEADER, then float32: poses [n, 3], motor [J], thruster [T], colours [6], outputs [P]; little-endian
 """
@@ -30,7 +30,7 @@ NUM_COLOURS = 6  # four of motors, two of thrusters
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FrameSizes:
-    """What a reader of frames has to know of the level and the policy."""
+    """Sizes of the arrays of a frame, by level and policy."""
 
     shapes: int
     joints: int
@@ -55,14 +55,14 @@ class FrameSizes:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One state of a session, with the step that led to it."""
+    """State of a session, with the step that led to it."""
 
     session: int
     step: int  # since the start of the episode
     poses: np.ndarray  # [n, 3] float32: x, y (m), angle (rad)
     motor: np.ndarray  # [J] float32, -1..1
     thruster: np.ndarray  # [T] float32, 0..1
-    colours: np.ndarray  # [6] float32, what each colour was told
+    colours: np.ndarray  # [6] float32, value of each colour's control
     outputs: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, np.float32))  # [P] of the policy
     flags: int = 0
     seq: int = 0  # of the last input that acted
@@ -83,8 +83,7 @@ def encode(frame: Frame) -> bytes:
 
 
 def decode(data: bytes, sizes: FrameSizes) -> Frame:
-    """The inverse; without outputs where no policy acted. Raises ValueError for bytes of another version or of other
-    sizes."""
+    """Frame of its bytes; no outputs where no policy acted. Raises ValueError for another version or other sizes."""
     if len(data) == sizes.num_bytes - 4 * sizes.outputs:
         sizes = dataclasses.replace(sizes, outputs=0)
     if len(data) != sizes.num_bytes:

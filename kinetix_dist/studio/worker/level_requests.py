@@ -1,4 +1,4 @@
-"""Requests about levels and recordings: what a page shows of them, and what an editor asks."""
+"""Requests about levels and recordings: checks, pictures, documents, changes."""
 
 from __future__ import annotations
 
@@ -14,21 +14,20 @@ from jax2d.display_list import DisplayList, display_list
 from jax2d.scene import Array, Capacity
 from kinetix_dist import prng
 from kinetix_dist.level.document import LevelInfo, level_to_json
-from kinetix_dist.level.filters import generate_filtered
 from kinetix_dist.level.fit import capacity_of
+from kinetix_dist.level.generator import generate_filtered
 from kinetix_dist.level.generator_config import GENERATORS, GeneratorConfig, generator
 from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.mutators import MUTATORS, apply, mutate
-from kinetix_dist.level.noop import noop_solved
+from kinetix_dist.level.simulation import noop_solved
 from kinetix_dist.level.start_warnings import noop_warning
 from kinetix_dist.studio.worker import programs
-from kinetix_dist.studio.worker.actors import env_of
 from kinetix_dist.studio.worker.attempts import steps_until_noop_solves
 from kinetix_dist.studio.worker.document_check import check_document
 from kinetix_dist.studio.worker.levels import (
-    GivenLevel,
     LevelsLeftOutError,
+    RequestedLevel,
     check_index,
     document_of,
     level_of,
@@ -38,7 +37,7 @@ from kinetix_dist.studio.worker.levels import (
     snapshot_levels,
     snapshot_path,
 )
-from kinetix_dist.studio.worker.request import Request
+from kinetix_dist.studio.worker.request import Request, env_of
 from kinetix_dist.studio.worker.wire import BAD_REQUEST, FAILED, RequestError
 from kinetix_dist.telemetry.curriculum_log import KINDS
 from kinetix_dist.telemetry.recording import Rollout
@@ -46,7 +45,7 @@ from kinetix_dist.telemetry.recording import Rollout
 MAX_LISTED = 200  # problems of a document
 MAX_THUMBNAILS = 4096
 MAX_CHANGES = 100
-MAX_GENERATED = 16  # all are drawn whatever number is asked for: one program
+MAX_GENERATED = 16  # always this many are generated: one program
 MAX_SEED = 2**31 - 1
 FORMATS = ("kinetix-dist", "public")
 
@@ -54,7 +53,7 @@ Answer = tuple[dict[str, Any], bytes]
 
 
 def check(request: Request) -> Answer:
-    """All complaints of a document at once; without any: warnings, facts and a picture."""
+    """Checks a document: all problems at once; without any: warnings, facts and a picture."""
     plays = request.flag("play", default=True)
     checked = check_document(request.fields.get("document"))
     problems = [
@@ -85,7 +84,7 @@ def document(request: Request) -> Answer:
 
 
 def thumbnails(request: Request) -> Answer:
-    """Many levels of a snapshot, none where they were left out. The JSON is the body: nobody reads it on the way."""
+    """Pictures of levels of a snapshot, none where it stores no levels. The JSON is the body, to be forwarded."""
     kind = next((kind for kind in KINDS if kind in request.fields), None)
     if kind is None:
         raise RequestError(BAD_REQUEST, f"thumbnails: give {' or '.join(KINDS)}")
@@ -114,7 +113,7 @@ def recordings(request: Request) -> Answer:
 
 
 def recording(request: Request) -> Answer:
-    """A rollout as it was stored, never simulated again."""
+    """Rollout as it was stored, never simulated again."""
     index = request.number("index", low=0, high=MAX_SEED)
     rollout = rollout_of(request.path("file"), index)
     arrays = {
@@ -153,7 +152,7 @@ def convert(request: Request) -> Answer:
 
 
 def mutate_level(request: Request) -> Answer:
-    """A document after random changes. Shapes are named by their slots afterwards."""
+    """Document after random changes. Shapes are named by their slots afterwards."""
     given = level_of_document(request.fields.get("document"))
     seed = request.number("seed", low=0, high=MAX_SEED, default=0)
     changes = request.number("changes", low=1, high=MAX_CHANGES, default=1)
@@ -170,7 +169,7 @@ def mutate_level(request: Request) -> Answer:
 
 
 def generate(request: Request) -> Answer:
-    """Random levels of a size that do not solve themselves."""
+    """Random levels of a size that are not solved by doing nothing."""
     size, name = request.choice("size", SIZES), request.choice("generator", GENERATORS, "default")
     seed = request.number("seed", low=0, high=MAX_SEED, default=0)
     count = request.number("count", low=1, high=MAX_GENERATED, default=1)
@@ -201,7 +200,7 @@ def _display(level: Level) -> DisplayList:
     )
 
 
-def display_of(given: GivenLevel) -> dict[str, Any]:
+def display_of(given: RequestedLevel) -> dict[str, Any]:
     return _display(given.level).to_json()
 
 

@@ -1,4 +1,4 @@
-"""The levels that requests speak of: documents, arrays of a snapshot of a run's buffer, states of recordings."""
+"""Levels of requests: documents, arrays of a snapshot of a run's buffer, states of recordings."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from kinetix_dist.telemetry.recording import Recording, RecordingError, Rollout
 
 
 class LevelsLeftOutError(RequestError):
-    """A snapshot that keeps its counts only (`curriculum_log.max_snapshots`)."""
+    """A snapshot that stores counts only (`curriculum_log.max_snapshots`)."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class GivenLevel:
-    """A level of a request."""
+class RequestedLevel:
+    """Level of a request."""
 
     level: Level  # numpy, in arrays of `info.size`
     info: LevelInfo
-    document: dict[str, Any] | None = None  # where it came as one of ours
-    is_exact: bool = True  # False: a state in the middle of a rollout, without its memory of contacts
+    document: dict[str, Any] | None = None  # where the request has one of ours
+    is_exact: bool = True  # False: a state in the middle of a rollout, without the impulses of its contacts
 
 
-def level_of(given: Any) -> GivenLevel:
-    """The level of a request's `level`. Raises RequestError."""
+def level_of(given: Any) -> RequestedLevel:
+    """Level by `level` of a request. Raises RequestError."""
     if not isinstance(given, Mapping):
         raise RequestError(BAD_REQUEST, f"level is {type(given).__name__}; give an object, see docs/play_protocol.md")
     if "document" in given:
@@ -55,21 +55,21 @@ def level_of(given: Any) -> GivenLevel:
     raise RequestError(BAD_REQUEST, 'level has neither "document", "recording", "refresh" nor "buffer"; give one')
 
 
-def level_of_document(document: Any) -> GivenLevel:
-    """A document of either format. Raises RequestError with the first thing that is wrong with it."""
+def level_of_document(document: Any) -> RequestedLevel:
+    """Level of a document of either format. Raises RequestError with its first problem."""
     try:
         if is_kinetix_document(document):
             public = read_kinetix(document)
             size = smallest_size(public.level)
             info = LevelInfo(name="public", size=size, source="public Kinetix level file", public_walls=public.walls)
-            return GivenLevel(level=fit_level(public.level, SIZES[size]), info=info)
-        return GivenLevel(level=level_from_json(document), info=document_info(document), document=document)
+            return RequestedLevel(level=fit_level(public.level, SIZES[size]), info=info)
+        return RequestedLevel(level=level_from_json(document), info=document_info(document), document=document)
     except ValueError as error:  # LevelFormatError, LevelSizeError
         raise RequestError(BAD_REQUEST, one_line(error)) from error
 
 
-def document_of(given: GivenLevel) -> dict[str, Any]:
-    """As a document of our format."""
+def document_of(given: RequestedLevel) -> dict[str, Any]:
+    """Document of our format of a level."""
     return given.document if given.document is not None else level_to_json(given.level, given.info)
 
 
@@ -78,8 +78,10 @@ def snapshot_path(run: Path, kind: str, number: int) -> Path:
 
 
 def snapshot_levels(path: Path) -> Level:
-    """[n, ...] the levels of a snapshot, bit for bit as training had them. Raises RequestError, and as one
-    LevelsLeftOutError."""
+    """Levels of a snapshot, [n, ...], bit for bit those of training.
+
+    Raises RequestError; LevelsLeftOutError where the snapshot stores counts only.
+    """
     try:
         about = os.stat(path)
         return _read_snapshot(path, about.st_mtime_ns, about.st_size)
@@ -91,10 +93,10 @@ def snapshot_levels(path: Path) -> Level:
 
 @functools.lru_cache(maxsize=4)
 def _read_snapshot(path: Path, modified_ns: int, size: int) -> Level:
-    """The numbers name a version of the file."""
+    """Levels of a snapshot, cached by modification time and size of its file."""
     snapshot = read_snapshot(path)
     if snapshot.levels is None:
-        raise LevelsLeftOutError(NOT_FOUND, f"{path} holds no levels: old snapshots keep their counts only")
+        raise LevelsLeftOutError(NOT_FOUND, f"{path} holds no levels: old snapshots store counts only")
     size_name = str(snapshot.arrays.get("size"))
     if size_name not in SIZES or "angle" not in snapshot.levels:
         raise RequestError(BAD_REQUEST, f"{path} has levels of size {size_name!r}; sizes are {', '.join(SIZES)}")
@@ -102,15 +104,15 @@ def _read_snapshot(path: Path, modified_ns: int, size: int) -> Level:
     return unflatten_arrays(template, snapshot.levels)
 
 
-def _of_snapshot(path: Path, index: int) -> GivenLevel:
+def _of_snapshot(path: Path, index: int) -> RequestedLevel:
     levels = snapshot_levels(path)
     check_index(index, len(levels.angle), f"{path} has levels")
     level = jax.tree.map(lambda x: x[index], levels)
-    return GivenLevel(level=level, info=LevelInfo(name=f"{path.stem}_{index}", size=size_of(level)))
+    return RequestedLevel(level=level, info=LevelInfo(name=f"{path.stem}_{index}", size=size_of(level)))
 
 
 def size_of(levels: Level) -> str:
-    """The name of the size whose arrays these are. Raises RequestError for arrays of none."""
+    """Name of the size whose arrays these are. Raises RequestError for arrays of no size."""
     capacity = capacity_of(levels)
     for name, known in SIZES.items():
         if known == capacity:
@@ -119,7 +121,7 @@ def size_of(levels: Level) -> str:
 
 
 def recording_of(path: Path) -> Recording:
-    """The rollouts of an MCAP file. Raises RequestError."""
+    """Rollouts of an MCAP file. Raises RequestError."""
     try:
         about = os.stat(path)
         return _read_recording(path, about.st_mtime_ns, about.st_size)
@@ -140,8 +142,8 @@ def rollout_of(path: Path, index: int) -> Rollout:
     return rollouts[index]
 
 
-def _of_recording(path: Path, index: int, step: int) -> GivenLevel:
-    """The level as it stood after `step` steps, with what moved then."""
+def _of_recording(path: Path, index: int, step: int) -> RequestedLevel:
+    """Level of a rollout with the positions and velocities after `step` steps."""
     rollout = rollout_of(path, index)
     check_index(step, rollout.num_steps + 1, f"rollout {index} of {path} has states")
     level = rollout.level
@@ -150,7 +152,7 @@ def _of_recording(path: Path, index: int, step: int) -> GivenLevel:
         names = ("position", "angle", "velocity", "angular_velocity")
         level = dataclasses.replace(level, **{name: getattr(rollout, name)[step] for name in names})
     info = LevelInfo(name=rollout.level_name, size=size_of(level))
-    return GivenLevel(level=level, info=info, is_exact=step == 0)
+    return RequestedLevel(level=level, info=info, is_exact=step == 0)
 
 
 def check_index(index: int, count: int, what: str) -> None:

@@ -1,4 +1,4 @@
-"""Requests that play: sessions, and many attempts of a level."""
+"""Requests that play: sessions, and attempts at a level."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ from kinetix_dist.evaluation.learnability import unbiased_learnability
 from kinetix_dist.evaluation.policies import distinct_attempts
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.schema import turned_colours_of
-from kinetix_dist.studio.worker.actors import KEYS, env_of, policy_of
+from kinetix_dist.program_cache import compile_seconds
 from kinetix_dist.studio.worker.attempts import MAX_ATTEMPTS, Progress, play_attempts
 from kinetix_dist.studio.worker.level_requests import MAX_SEED, Answer, display_of
 from kinetix_dist.studio.worker.levels import level_of
-from kinetix_dist.studio.worker.request import Request
+from kinetix_dist.studio.worker.request import KEYS, Request, env_of, policy_of
 from kinetix_dist.studio.worker.session import Actor, Session
 from kinetix_dist.studio.worker.session_loop import MAX_SPEED, MIN_SPEED, Running, SessionLoop
 from kinetix_dist.studio.worker.wire import BAD_REQUEST, RequestError
-from kinetix_dist.telemetry.compile_time import compile_seconds
 
 MAX_STEPS_AT_ONCE = 1_000_000
 MAX_SESSION = 0xFFFF
@@ -31,7 +30,7 @@ CONTROLS = ("run", "pause", "step", "seek", "speed", "reset", "take_over")
 
 
 def open_session(request: Request, loop: SessionLoop) -> tuple[Session, dict[str, Any]]:
-    """A session that is not in the loop yet, and the answer that says what it is. Compiles."""
+    """Opens a session that is not in the loop yet; returns it with its reply. Compiles."""
     begin, compiled_before = time.monotonic(), compile_seconds()
     given = level_of(request.fields.get("level"))
     policy = policy_of(request.fields.get("policy", KEYS))
@@ -47,7 +46,7 @@ def open_session(request: Request, loop: SessionLoop) -> tuple[Session, dict[str
         session.set_actor(actor)
         request.check_cancelled()
     except BaseException:
-        loop.give_back()
+        loop.cancel_reservation()
         raise
     level, config = given.level, session.person_env.config
     answer = {
@@ -73,7 +72,7 @@ def _about_actor(session: Session) -> dict[str, Any]:
 
 
 def _drives(level: Level) -> dict[str, Any]:
-    """Which colour drives what, for keys beside motors and thrusters."""
+    """Motors and thrusters with the colours that drive them, for keys shown next to them."""
     joints, thrusters = level.scene.joints, level.scene.thrusters
     motors = np.flatnonzero(np.asarray(joints.active) & np.asarray(joints.motor_on)).tolist()
     return {
@@ -91,7 +90,7 @@ Command = Callable[[Running], dict[str, Any]]
 
 
 def control(request: Request, loop: SessionLoop, loading: Executor) -> tuple[Command, Future[Any] | None]:
-    """What the loop shall do with a session, as a command that answers, and what it has to wait for."""
+    """Command for the loop that controls a session and returns the reply, and the future it waits for."""
     do = request.choice("do", CONTROLS)
     if do == "take_over":
         session = loop.session(request.number("session", low=0, high=MAX_SESSION))
@@ -153,7 +152,7 @@ def _show(running: Running, loop: SessionLoop, change: Callable[[], None]) -> di
 
 
 def _load_actor(given: Any, session: Session) -> Actor:
-    """Who shall play a session, with everything compiled: the loop must not wait for that."""
+    """Loads and compiles an actor for a session: the loop must not wait for that."""
     actor = policy_of(given).actor(session.person_env.config, session.level)
     session.warm_up(actor)
     return actor
@@ -166,7 +165,7 @@ def _take_over(running: Running, loaded: Future[Actor], loop: SessionLoop) -> di
 
 
 def attempts(request: Request) -> Answer:
-    """Many attempts, with progress; ends where it is cancelled."""
+    """Plays attempts at a level, with progress; ends where it is cancelled."""
     begin, compiled_before = time.monotonic(), compile_seconds()
     num_attempts = request.number("attempts", low=1, high=MAX_ATTEMPTS, default=64)
     seed = request.number("seed", low=0, high=MAX_SEED, default=0)

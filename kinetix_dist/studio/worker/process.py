@@ -26,8 +26,8 @@ NUM_THREADS = 2
 MAX_ARENAS = 2  # of glibc; by its own 8 a core, what compiling frees lies in each of them: 5 % more memory
 M_ARENA_MAX = -8  # malloc.h
 WATCH_SECONDS = 0.5
-MAX_RESIDENT_BYTES = 800_000_000  # above it an unused worker gives its programs back,
-FORGET_SECONDS = 30.0  # after so long without a message
+MAX_RESIDENT_BYTES = 800_000_000  # above it an unused worker frees its programs,
+RELEASE_SECONDS = 30.0  # after so long without a message
 CLOSE_SECONDS = 2.0  # for the last messages
 
 
@@ -37,19 +37,17 @@ def main() -> None:
     _prepare_process()
     # jax is imported below this line, once the process is prepared for it.
     from kinetix_dist.errors import UserError
-    from kinetix_dist.jax_arithmetic import check_arithmetic
-    from kinetix_dist.jax_settings import check_settings
+    from kinetix_dist.jax_checks import check_arithmetic, check_settings
 
     try:
         check_settings()
         check_arithmetic()
     except UserError as error:
-        sys.exit(str(error))  # the server says so
-    from kinetix_dist.studio.worker.hello import hello
-    from kinetix_dist.studio.worker.outbox import Outbox
-    from kinetix_dist.studio.worker.programs import forget_programs
-    from kinetix_dist.studio.worker.service import Service
-    from kinetix_dist.telemetry.compile_cache import enable_compile_cache
+        sys.exit(str(error))  # the server shows it
+    from kinetix_dist.program_cache import enable_compile_cache
+    from kinetix_dist.studio.worker.programs import release_programs
+    from kinetix_dist.studio.worker.service import Service, hello
+    from kinetix_dist.studio.worker.wire import Outbox
 
     enable_compile_cache("")
     outbox = Outbox(pipe)
@@ -60,7 +58,7 @@ def main() -> None:
     last_message = [time.monotonic()]
 
     def end(reason: str) -> None:
-        """Leaves at once: threads may be in the middle of a program that nobody waits for any more."""
+        """Exits at once: threads may be in the middle of a program whose result is not needed."""
         if reason == "idle":
             outbox.send({"type": "bye", "reason": reason})
         outbox.close(CLOSE_SECONDS)
@@ -77,9 +75,9 @@ def main() -> None:
                 last_message[0] = time.monotonic()
             elif time.monotonic() - last_message[0] > idle_seconds:
                 end("idle")
-            elif service.is_unused and time.monotonic() - last_message[0] > FORGET_SECONDS:
+            elif service.is_unused and time.monotonic() - last_message[0] > RELEASE_SECONDS:
                 if process.memory_info().rss > MAX_RESIDENT_BYTES:
-                    forget_programs()
+                    release_programs()
 
     threading.Thread(target=watch, name="watch", daemon=True).start()
     while True:
@@ -96,14 +94,14 @@ def main() -> None:
 
 
 def _take_stdout() -> IO[bytes]:
-    """The pipe to the client. What else is written to standard output goes to standard error from now on."""
+    """Pipe to the client. Other writes to standard output go to standard error from now on."""
     pipe = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     return pipe
 
 
 def _prepare_process() -> None:
-    """CPU only, behind everything else on the machine. Warp looks for GPUs whatever jax is told: it finds none."""
+    """Limits the process to the CPU, at low priority. Warp looks for GPUs by itself: it finds none."""
     os.environ["JAX_PLATFORMS"] = "cpu"
     os.environ["CUDA_VISIBLE_DEVICES"] = ""
     os.environ["NPROC"] = str(NUM_THREADS)  # threads of XLA's pool

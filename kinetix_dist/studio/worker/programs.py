@@ -1,5 +1,7 @@
-"""Programs that sessions run: one step of one world, and what a policy makes of it. Compiled once for each environment
-and network, and kept on disk in the compile cache of training."""
+"""Compiled programs of sessions: one step of one world, and the choice of a policy.
+
+Each is compiled once per environment and network, and stored in the compile cache of training.
+"""
 
 from __future__ import annotations
 
@@ -29,23 +31,22 @@ from kinetix_dist.studio.worker.wire import BAD_REQUEST, RequestError
 MAX_ENVIRONMENTS = 16
 
 
-def forget_programs() -> None:
-    """Gives compiled programs back to the machine, 20 to 100 MB a size and network; they are read from the compile
-    cache when they are needed again."""
+def release_programs() -> None:
+    """Frees compiled programs, 20 to 100 MB per size and network. The compile cache still has them."""
     environment.cache_clear()
     jax.clear_caches()
     gc.collect()
-    give_back_free_memory()
+    trim_heap()
 
 
-def give_back_free_memory() -> None:
-    """What was freed after compiling, 30 to 100 MB: glibc keeps it otherwise."""
+def trim_heap() -> None:
+    """Returns memory that was freed after compiling, 30 to 100 MB, to the system, which glibc does not do itself."""
     if sys.platform == "linux":
         ctypes.CDLL(None).malloc_trim(0)
 
 
 class Stepped(NamedTuple):
-    """What one step of W worlds led to, before any restart. [W, ...] on every field."""
+    """Result of one step of W worlds, before any restart. [W, ...] on every field."""
 
     env_state: EnvState
     obs: Any
@@ -55,11 +56,20 @@ class Stepped(NamedTuple):
     poses: Array  # [W, n, 3] x, y (m), angle (rad)
     motor: Array  # [W, J] -1..1
     thruster: Array  # [W, T] 0..1
-    colours: Array  # [W, 6] what each colour was told
+    colours: Array  # [W, 6] value of each colour's control
+
+
+class PolicyInput(NamedTuple):
+    """Input of a policy in one world: its random draws follow from seed and step alone."""
+
+    obs: Any
+    memory: Array | None  # before it acts
+    seed: Array | int
+    step: Array | int
 
 
 class Choice(NamedTuple):
-    """What a policy makes of a state."""
+    """Choice of a policy in a state."""
 
     actions: Array  # [W, ...] of the environment's action space
     memory: Array | None  # after it
@@ -69,14 +79,17 @@ class Choice(NamedTuple):
 
 @functools.lru_cache(maxsize=MAX_ENVIRONMENTS)
 def environment(config: EnvConfig) -> Environment:
-    """One for each configuration: programs are compiled for it."""
+    """Environment of a configuration, cached: programs are compiled for it."""
     return Environment(config)
 
 
 @functools.partial(jax.jit, static_argnums=0)
 def prepare(env: Environment, levels: Level) -> PreparedLevels:
-    """`Environment.prepare` of levels [W, ...] as one program: outside of one, each of the 200 operations that look for
-    effects is compiled on its own, 4 s and 220 MB. `check_effects` looks for them afterwards."""
+    """`Environment.prepare` of levels [W, ...] as one program.
+
+    Outside of a program each of the 200 operations that find effects would be compiled on its own: 4 s and 220 MB.
+    `check_effects` reads the effects afterwards.
+    """
     return env.prepare(levels)
 
 
@@ -87,7 +100,7 @@ def reset(env: Environment, prepared: PreparedLevels) -> tuple[EnvState, Any]:
 
 
 def check_effects(prepared: PreparedLevels) -> None:
-    """Raises RequestError for a level that calls for what environments are made without."""
+    """Raises RequestError for a level that calls for effects which no environment has."""
     bits = int(np.bitwise_or.reduce(np.asarray(prepared.packed_scene.missing)))
     if bits:
         raise RequestError(BAD_REQUEST, f"the level calls for {', '.join(names_of_bits(bits))}, which no size has")
@@ -95,8 +108,8 @@ def check_effects(prepared: PreparedLevels) -> None:
 
 @functools.partial(jax.jit, static_argnums=0)
 def step(env: Environment, prepared: PreparedLevels, env_state: EnvState, actions: Array) -> Stepped:
-    """`Environment.step` without its restart: the state that ends an episode is seen."""
-    told = env.action_space.colour_values(actions, env.action_space.in_range(actions))
+    """`Environment.step` without its restart: the state that ends an episode is shown."""
+    colour_values = env.action_space.colour_values(actions, env.action_space.in_range(actions))
     controls, _ = controls_of(
         env.action_space, actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
     )
@@ -110,7 +123,7 @@ def step(env: Environment, prepared: PreparedLevels, env_state: EnvState, action
         poses=poses(env, prepared, env_state),
         motor=controls.motor,
         thruster=controls.thruster,
-        colours=jnp.concatenate(told, axis=-1),
+        colours=jnp.concatenate(colour_values, axis=-1),
     )
 
 
@@ -127,15 +140,13 @@ def choose(
     policy: Policy,
     params: Any,
     prepared: PreparedLevels,
-    obs: Any,
-    seed: Array,
-    step: Array,
-    memory: Array | None,
+    given: PolicyInput,
 ) -> Choice:
-    """What a policy does in step `step` of one world. Draws as rollout 0 of `record_rollouts` with this seed does."""
-    world_key = prng.fold_in(prng.key(seed), 0)
-    keys = prng.fold_in(world_key, step)[None]
-    seen = env.observe(prepared, obs)
+    """Choice of a policy in one world. Draws as rollout 0 of `record_rollouts` with this seed does."""
+    world_key = prng.fold_in(prng.key(given.seed), 0)
+    keys = prng.fold_in(world_key, given.step)[None]
+    memory = given.memory
+    seen = env.observe(prepared, given.obs)
     actions, next_memory = act(policy, params, seen, keys, memory)
     if not isinstance(policy, NetworkPolicy):
         return Choice(actions, next_memory, jnp.zeros(1, jnp.float32), jnp.zeros((1, 0), jnp.float32))
@@ -149,7 +160,7 @@ def choose(
 
 
 def heads_of(policy: Policy) -> dict[str, Any]:
-    """What `Choice.outputs` are: probabilities of the choices of each head, or means and then spreads of numbers."""
+    """Meaning of `Choice.outputs`: probabilities of the choices of each head, or means and then spreads of numbers."""
     if not isinstance(policy, NetworkPolicy):
         return {"kind": "none", "sizes": []}
     kind = "mean_spread" if isinstance(policy.distribution, TruncatedNormal) else "probabilities"
@@ -158,9 +169,9 @@ def heads_of(policy: Policy) -> dict[str, Any]:
 
 @functools.cache
 def controls_of_outputs(space: ActionSpace) -> tuple[tuple[int | None, float | None], ...]:
-    """(colour, value) of each output of a policy in a space: which colour it is about, as in a frame's `colours`, and
-    what its choice tells that colour. Read off `colour_values`, so that it is that of any space.
+    """Colour and value of each output of a policy in an action space, read off `colour_values`.
 
+    colour: the index in a frame's `colours`; value: what its choice sets that colour to.
     colour None: a choice that drives none, or several. value None: a number (means, then spreads), no choice.
     """
     dimensions = range(space.num_dimensions)
@@ -173,12 +184,14 @@ def controls_of_outputs(space: ActionSpace) -> tuple[tuple[int | None, float | N
     for row, (dimension, value) in zip(actions, choices, strict=True):
         row[dimension] = value
     given = actions[:, 0] if space.is_flat else actions
-    told = np.concatenate([np.asarray(part) for part in space.colour_values(given, space.in_range(given))], axis=-1)
-    driven = [[int(c) for c in np.flatnonzero(told[[d == own for d, _ in choices]].any(axis=0))] for own in dimensions]
+    changed = np.concatenate([np.asarray(part) for part in space.colour_values(given, space.in_range(given))], axis=-1)
+    driven = [
+        [int(c) for c in np.flatnonzero(changed[[d == own for d, _ in choices]].any(axis=0))] for own in dimensions
+    ]
     if not space.is_integer:
         return tuple((colours[0] if len(colours) == 1 else None, None) for colours in driven) * 2
     found = []
-    for row, (dimension, _) in zip(told, choices, strict=True):
+    for row, (dimension, _) in zip(changed, choices, strict=True):
         colours = driven[dimension] if len(driven[dimension]) == 1 else np.flatnonzero(row).tolist()
         found.append((colours[0], float(row[colours[0]])) if len(colours) == 1 else (None, float(np.abs(row).max())))
     return tuple(found)

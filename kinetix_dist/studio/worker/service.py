@@ -1,4 +1,4 @@
-"""Hands requests out to threads, and their answers back.
+"""Dispatch of requests to threads, and of their replies to the client.
 
 | thread | does | why alone |
 |---|---|---|
@@ -18,21 +18,26 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from jax2d import palette
+from kinetix_dist.checkpoint.store import pretrained_names
 from kinetix_dist.errors import UserError, one_line
+from kinetix_dist.level.generator_config import GENERATORS
+from kinetix_dist.level.level import NUM_WALLS, SIZES
+from kinetix_dist.level.mutators import MUTATORS
+from kinetix_dist.level.walls import WALL_CENTRES_M, WALL_HALF_EXTENTS_M, WALL_NAMES
 from kinetix_dist.studio.worker import level_requests, play_requests
 from kinetix_dist.studio.worker.level_requests import Answer
-from kinetix_dist.studio.worker.outbox import Outbox
-from kinetix_dist.studio.worker.programs import give_back_free_memory
+from kinetix_dist.studio.worker.programs import trim_heap
 from kinetix_dist.studio.worker.request import Request
 from kinetix_dist.studio.worker.session_loop import Running, SessionLoop
-from kinetix_dist.studio.worker.wire import BAD_REQUEST, BUSY, FAILED, NOT_FOUND, Message, RequestError
+from kinetix_dist.studio.worker.wire import BAD_REQUEST, BUSY, FAILED, NOT_FOUND, Message, Outbox, RequestError
 
 MAX_WAITING = 16  # requests, running ones counted
 LOOK, MAKE, OPEN, ATTEMPTS = THREADS = ("look", "make", "open", "attempts")
 
 
 class Service:
-    """See above."""
+    """Dispatches messages of one client by the table above."""
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
@@ -56,17 +61,17 @@ class Service:
 
     @property
     def is_busy(self) -> bool:
-        """Whether anything runs that nobody has to ask for again."""
+        """True while a request is in work or a session runs."""
         with self._lock:
             return bool(self._requests) or self._loop.is_stepping
 
     @property
     def is_unused(self) -> bool:
-        """Whether there is no session either."""
+        """True while nothing runs and no session is open."""
         return not self.is_busy and self._loop.num_sessions == 0
 
     def handle(self, message: Message) -> None:
-        """One message of the client. Answers, now or later; raises nothing that a client could cause."""
+        """Handles a message of the client, and replies now or later. Raises nothing that a client could cause."""
         fields = message.content
         kind = fields["type"]
         try:
@@ -126,7 +131,7 @@ class Service:
         def work() -> None:
             self._answer(request, lambda: handler(request))
             if thread != LOOK:
-                give_back_free_memory()
+                trim_heap()
 
         self._threads[thread].submit(work)
 
@@ -164,7 +169,7 @@ class Service:
         self._loop.command(number, command, after=after)
 
     def _answer(self, request: Request, work: Callable[[], Answer | None]) -> None:
-        """Runs the work of a request and says how it went. None: it has answered itself."""
+        """Runs the work of a request and sends its result as the reply; None: the work has replied itself."""
         try:
             request.check_cancelled()
             answer = work()
@@ -175,9 +180,9 @@ class Service:
             self._refuse(request.fields, error)
         except UserError as error:
             self._refuse(request.fields, RequestError(BAD_REQUEST, one_line(error)))
-        except Exception as error:  # a mistake of ours: said, logged, and the worker goes on
+        except Exception as error:  # a bug of ours: reported, logged, and the worker goes on
             traceback.print_exception(error)
-            text = f"a mistake in the worker: {type(error).__name__}: {one_line(error)[:200]}; its log says more"
+            text = f"a bug in the worker: {type(error).__name__}: {one_line(error)[:200]}; its log says more"
             self._refuse(request.fields, RequestError(FAILED, text))
         finally:
             self._end(request)
@@ -196,3 +201,23 @@ def _session_of(fields: dict[str, Any]) -> int:
     if type(number) is not int:
         raise RequestError(BAD_REQUEST, f"{fields['type']}: session is {number!r}; give the number of one that is open")
     return number
+
+
+def hello() -> dict[str, Any]:
+    """Fields of the first message: what may be requested, and colours and lengths (m) of pictures.
+
+    Sizes count the entities that a level may have besides its walls.
+    """
+    kinds = ("polygons", "circles", "joints", "thrusters")
+    sizes = {name: {kind: getattr(capacity, kind) for kind in kinds} for name, capacity in SIZES.items()}
+    for counts in sizes.values():
+        counts["polygons"] -= NUM_WALLS
+    walls = zip(WALL_NAMES, WALL_CENTRES_M.tolist(), WALL_HALF_EXTENTS_M.tolist(), strict=True)
+    return {
+        "walls": [{"name": name, "position": at, "half_extents": half} for name, at, half in walls],
+        "palette": palette.as_json(),
+        "sizes": sizes,
+        "generators": list(GENERATORS),
+        "mutators": list(MUTATORS),
+        "pretrained": pretrained_names(),
+    }

@@ -1,7 +1,7 @@
-"""A session: one world that is played step by step, with everything that was played kept for seeking and taking over.
+"""A session: one world that is played step by step; all states are stored for seeking and taking over.
 
-    session = Session(number, env_config, given_level, seed)       compiles
-    session.set_actor(actor)                                       who plays from the state that is shown
+    session = Session(number, env_config, level, seed=0)       compiles
+    session.set_actor(actor)                                       who plays from the shown state on
     session.step(); session.seek(12); session.frame()
 
 The world is stepped by the environment of training: frame skip, time limit and solver are those of the run. A session
@@ -31,16 +31,16 @@ PERSON_SPACE = MultiDiscrete()  # what keys give, whatever the action space of t
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Actor:
-    """Who plays. `player` None: a person with keys."""
+    """Player of a session in its environment. `player` None: a person with keys."""
 
     env: Environment  # with the action space that the player acts in
     player: Player | None
-    about: dict[str, Any]  # what a client is told of it
+    about: dict[str, Any]  # for the client
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Moment:
-    """One state of the episode and the step that led to it."""
+    """State of the episode and the step that led to it."""
 
     env_state: EnvState
     obs: Any
@@ -63,13 +63,13 @@ class Moment:
 
 
 class Session:
-    """See above. Raises RequestError for what cannot be done."""
+    """One world with its played states. Methods raise RequestError for what cannot be done."""
 
     def __init__(
         self, number: int, env_config: EnvConfig, level: Level, *, seed: int, turned_colours: np.ndarray | None = None
     ) -> None:
-        """turned_colours: [4] bool, those by which a person's forward is backward in the level (None: none), since a
-        person goes by the document of the level."""
+        """turned_colours: [4] bool, motor colours whose direction is reversed for a person, who goes by the document of
+        the level; None: none."""
         self.number, self.seed = number, seed
         self._turned = np.zeros(NUM_MOTOR_COLOURS, bool) if turned_colours is None else turned_colours
         self.level = level
@@ -98,7 +98,7 @@ class Session:
 
     @property
     def last(self) -> int:
-        """Steps that were played."""
+        """Number of played steps."""
         return len(self.moments) - 1
 
     @property
@@ -117,18 +117,18 @@ class Session:
 
     @property
     def is_at_end(self) -> bool:
-        """Whether the state shown is the last one there can be."""
+        """True where the shown state ends the episode."""
         return self.moments[self.shown].is_done
 
     @property
     def outcome(self) -> str:
-        """How the episode ended that is shown at its end: one of `recording.OUTCOMES`."""
+        """Outcome of an episode that is shown at its end: one of `recording.OUTCOMES`."""
         flags = self.moments[self.shown].flags
         named = ((frames.SOLVED, "solved"), (frames.FAILED, "failed"), (frames.UNSTABLE, "unstable"))
         return next((name for flag, name in named if flags & flag), "out of time")
 
     def set_actor(self, actor: Actor) -> None:
-        """Who plays from the state that is shown; what was played after it is forgotten.
+        """Sets who plays from the shown state on; later states are dropped.
 
         A policy with a memory starts without one.
         """
@@ -141,7 +141,7 @@ class Session:
         self.was_sought = False
 
     def set_input(self, action: Any, seq: Any) -> None:
-        """What a person does from now on. action: six whole numbers; seq: a number of the client's."""
+        """Sets the action of a person from now on. action: six whole numbers; seq: the client's number of it."""
         if type(seq) is not int or not 0 <= seq < 1 << 32:
             raise RequestError(BAD_REQUEST, f"seq is {seq!r}; give a whole number from 0 to {(1 << 32) - 1}")
         if not isinstance(action, list) or any(type(number) is not int for number in action):
@@ -183,7 +183,7 @@ class Session:
         """The state that is shown."""
         moment = self.moments[self.shown]
         again = frames.AGAIN if self.was_sought else 0
-        shown = moment.shown if moment.actor is self.actor else None  # not what another one made of it
+        shown = moment.shown if moment.actor is self.actor else None  # not the choice of another actor
         return frames.encode(
             frames.Frame(
                 session=self.number,
@@ -203,7 +203,7 @@ class Session:
         )
 
     def _play(self) -> Moment:
-        """The state after the last one. One that has diverged has no places: those before it stay, with its flag."""
+        """State after the last one. One that has diverged has no positions: it repeats the last ones, with its flag."""
         moment, player = self.moments[-1], self.actor.player
         actions = self.action if moment.choice is None else moment.choice.actions
         stepped = programs.step(self.actor.env, self.prepared, moment.env_state, actions)
@@ -239,18 +239,19 @@ class Session:
         jax.block_until_ready(programs.step(actor.env, self.prepared, start.env_state, actions))
 
     def _with_choice(self, moment: Moment) -> Moment:
-        """With what the actor makes of it."""
+        """Moment with the choice of the actor in it."""
         player = self.actor.player
         choice = None if player is None else self._choice(self.actor, player, moment)
         return dataclasses.replace(moment, choice=choice, shown=choice, actor=self.actor)
 
     def _choice(self, actor: Actor, player: Player, moment: Moment) -> programs.Choice:
-        """Drawn by the number of the state and the seed alone. Raises RequestError for a network whose numbers are
-        none."""
+        """Choice of a policy, drawn by the number of the state and the seed alone.
+
+        Raises RequestError for a network whose outputs are not finite.
+        """
         step = int(moment.env_state.num_steps[0])
-        choice = programs.choose(
-            actor.env, player.policy, player.params, self.prepared, moment.obs, self.seed, step, moment.memory
-        )
+        given = programs.PolicyInput(obs=moment.obs, memory=moment.memory, seed=self.seed, step=step)
+        choice = programs.choose(actor.env, player.policy, player.params, self.prepared, given)
         if not (np.isfinite(choice.value).all() and np.isfinite(choice.outputs).all()):
             raise RequestError(BAD_REQUEST, "the policy answers with numbers that are not finite; choose another one")
         return choice

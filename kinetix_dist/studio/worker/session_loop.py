@@ -1,8 +1,8 @@
-"""Runs sessions in real time: one thread that obeys what clients send, in its order, and steps what is due.
+"""Real-time loop of sessions: one thread that runs commands of clients in their order, and steps that are due.
 
 Consumes: commands of the worker's other threads. Produces: frames and answers (outbox). Waits for: the next step that
-is due, or a command. A command may wait for something that another thread prepares (a policy that is loaded): the
-session obeys the next one only then, the others go on.
+is due, or a command. A command may wait for something that another thread prepares (a policy that is loaded): its
+session waits, the others go on.
 """
 
 from __future__ import annotations
@@ -16,19 +16,18 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-from kinetix_dist.studio.worker.outbox import Outbox
 from kinetix_dist.studio.worker.session import Session
-from kinetix_dist.studio.worker.wire import BUSY, FAILED, NOT_FOUND, RequestError
+from kinetix_dist.studio.worker.wire import BUSY, FAILED, NOT_FOUND, Outbox, RequestError
 
 MAX_SESSIONS = 4
 MIN_SPEED, MAX_SPEED = 1 / 64, 8.0
 
-Command = Callable[["Running"], None]  # has to answer whoever asked, also for a session that `is_closed`
+Command = Callable[["Running"], None]  # must reply to its request, also for a session that `is_closed`
 
 
 @dataclasses.dataclass
 class Running:
-    """A session and how it runs."""
+    """Session with its speed and its waiting commands."""
 
     session: Session
     is_running: bool = False
@@ -49,12 +48,12 @@ class Running:
         self.due = time.monotonic() + self.period
 
     def is_ready(self) -> bool:
-        """Whether there is a command that waits for nobody else."""
+        """True where the next command waits for no other thread."""
         return bool(self.commands) and (self.commands[0][0] is None or self.commands[0][0].done())
 
 
 class SessionLoop:
-    """See above."""
+    """The thread that runs all sessions of a worker."""
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
@@ -76,7 +75,7 @@ class SessionLoop:
             return any(running.is_running for running in self._running.values())
 
     def reserve(self) -> int:
-        """Room for a session that is being made: its number. `add` or `give_back` ends that. Raises RequestError."""
+        """Reserves a number for a session; `add` or `cancel_reservation` follows. Raises RequestError."""
         with self._condition:
             if len(self._running) + self._num_reserved >= MAX_SESSIONS:
                 raise RequestError(BUSY, f"{MAX_SESSIONS} sessions are open; close one")
@@ -84,7 +83,7 @@ class SessionLoop:
             self._last_number = self._last_number % 0xFFFF + 1
             return self._last_number
 
-    def give_back(self) -> None:
+    def cancel_reservation(self) -> None:
         with self._condition:
             self._num_reserved -= 1
 
@@ -94,7 +93,7 @@ class SessionLoop:
             self._running[session.number] = Running(session)
 
     def session(self, number: int) -> Session:
-        """Raises RequestError for one that is not open."""
+        """Open session of a number. Raises RequestError."""
         with self._condition:
             return self._of(number).session
 
@@ -104,7 +103,7 @@ class SessionLoop:
         return self._running[number]
 
     def command(self, number: int, command: Command, *, after: Future[Any] | None = None) -> None:
-        """Lets the loop do something with a session, once `after` is done. Raises RequestError for one not open."""
+        """Queues a command for a session, to run once `after` is done. Raises RequestError for one not open."""
         with self._condition:
             self._of(number).commands.append((after, command))
             self._condition.notify()
@@ -112,15 +111,15 @@ class SessionLoop:
             after.add_done_callback(lambda _: self._wake())
 
     def close(self, running: Running) -> None:
-        """Of a command: ends the session. What was asked of it afterwards learns that there is none."""
+        """Ends a session; called by a command. Later commands of the session reply that there is none."""
         number = running.session.number
         running.is_running, running.is_closed = False, True
         with self._condition:
             self._running.pop(number, None)
-        self._outbox.forget(number)
+        self._outbox.discard_frames(number)
 
     def show(self, running: Running) -> None:
-        """Sends the state that is shown; says so where it is the end of the episode."""
+        """Sends the shown state as a frame."""
         session = running.session
         self._outbox.send_frame(session.number, session.frame())
 
@@ -152,7 +151,7 @@ class SessionLoop:
                     self._fail(running, error)
 
     def _next(self) -> list[Running]:
-        """Sessions that have something to do now. Waits for one."""
+        """Sessions with a ready command or a due step. Waits for one."""
         with self._condition:
             while True:
                 now = time.monotonic()
@@ -176,16 +175,16 @@ class SessionLoop:
         running.session.step()
         self.show(running)
         self.end_if_over(running)
-        # What is late stays late: no burst of steps after a pause of the machine.
+        # A late step stays late: no burst of steps after a pause of the machine.
         running.due = max(running.due + running.period, time.monotonic())
 
     def _fail(self, running: Running, error: Exception) -> None:
-        """Ends the session: by a mistake of ours, or with what is wrong with its policy."""
+        """Ends a session after an error: a bug of ours, or a problem of its policy."""
         number, code, text = running.session.number, FAILED, str(error)
         if isinstance(error, RequestError):
             code = error.code
         else:
             traceback.print_exception(error)
-            text = f"session {number} ended by a mistake in the worker: {type(error).__name__}; its log says more"
+            text = f"session {number} ended by a bug in the worker: {type(error).__name__}; its log says more"
         self.close(running)
         self._outbox.send({"type": "error", "session": number, "code": code, "text": text})

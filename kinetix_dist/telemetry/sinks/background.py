@@ -9,8 +9,8 @@
 | thread | rows of a queue | the queue, the disk            | any error: row dropped, counted; the next row |
 |        |                 |                                | opens the sink again                          |
 
-While all is well a row is in the file when `write` returns, unless nobody is to wait (`patience_s` 0). One
-`sink_failing` is told when rows begin to be dropped or to wait, one `sink_recovered` when a row gets through again.
+While all is well a row is in the file when `write` returns, unless `patience_s` is 0. One
+`sink_failing` is reported when rows begin to be dropped or to wait, one `sink_recovered` when a row gets through again.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def close_sinks(sinks: Sequence[BackgroundSink[Any]]) -> None:
 
 
 def _close(sink: RowSink[Any] | None) -> None:
-    """What failed may fail at closing too; that has been told already."""
+    """Closes a sink. One that failed may fail at closing too; that has been reported already."""
     if sink is not None:
         with contextlib.suppress(Exception):
             sink.close()

@@ -1,4 +1,4 @@
-"""What a person watches: one live line on a terminal, one line every few seconds in a log.
+"""Progress for a person: one live line on a terminal, one line every few seconds in a log.
 
 training  12,288 / 1,000,000 env steps  3,912 steps/s  solved 31 %  learnability 0.12  4:10 left
 """
@@ -35,7 +35,7 @@ class ConsoleSink:
             self._live.start()
 
     def set_phase(self, phase: str) -> None:
-        """What is going on now, in a word or two; shown at once."""
+        """Shows the current phase, a word or two, at once."""
         if phase != self._phase:
             self._phase = phase
             self._show(at_once=phase != "training")

@@ -8,15 +8,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.atomic_files import AtomicAppender
 from kinetix_dist.telemetry.json_lines import Row, damaged_path, mend_lines, read_lines, set_aside_unless_readable
 from kinetix_dist.telemetry.names import check_metrics
-from kinetix_dist.telemetry.whole_writes import WholeWrites
 
 
 class LinesSink:
     """Appends rows to `path`, one a line; those not to `keep`, of a killed session, are removed first.
 
-    num_damaged: lines that were no rows, and stand in `damaged_path` beside it now.
+    num_damaged: lines that were no rows, and stand in `damaged_path` now.
     set_aside: what `path` was renamed to where it could not be read at all; else None.
     """
 
@@ -30,12 +30,12 @@ class LinesSink:
         if keep is not None:
             self.set_aside = set_aside_unless_readable(path)
             self.num_damaged = mend_lines(path, is_row=is_row, keep=keep)
-        self._file = WholeWrites(path)
+        self._file = AtomicAppender(path)
 
     def write(self, update: int, row: Mapping[str, Any], /) -> None:
         """One line, whole or not at all."""
         del update
-        self._file.write_line(json.dumps(row, allow_nan=False).encode() + b"\n")
+        self._file.append_line(json.dumps(row, allow_nan=False).encode() + b"\n")
 
     def close(self) -> None:
         self._file.close()
@@ -61,5 +61,5 @@ def read_jsonl(path: Path) -> list[dict[str, Any]]:
 
 
 def is_metrics_row(row: dict[str, Any]) -> bool:
-    """Whether a JSON object is a row of metrics; others count as damaged."""
+    """True for a row of metrics; other objects count as damaged."""
     return isinstance(row.get("update"), int)

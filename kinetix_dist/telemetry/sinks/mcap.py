@@ -5,7 +5,7 @@
 | who            | consumes            | waits for            | when it cannot go on                               |
 |----------------|---------------------|----------------------|----------------------------------------------------|
 | `write`        | one rollout         | nothing, ever        | queue full: rollout dropped, counted, event        |
-| writing thread | rollouts from queue | the queue, the disk  | disk error: event, file kept whole, rest dropped   |
+| writing thread | rollouts from queue | the queue, the disk  | disk error: event, file stays whole, rest dropped  |
 | `close`        |                     | the thread, timeout  | timeout: event; the file has no end but is readable|
 
 One protobuf message a state (rollout_schema.py), one metadata record a rollout with its level and outcome, zstd
@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from kinetix_dist.atomic_files import append_atomically
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.telemetry.rollout_schema import MESSAGE, PACKAGE, Sizes, encode_messages, file_descriptor_set
-from kinetix_dist.telemetry.whole_writes import write_whole
 
 METADATA_NAME = "kinetix_dist.rollout"
 TOPIC = "/rollout/step"
@@ -95,7 +95,7 @@ class RolloutWriter:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SinkStats:
-    """What became of the rollouts given to a sink."""
+    """Counts of the rollouts given to a sink, by their fate."""
 
     written: int  # rollouts on disk
     dropped: int  # rollouts given up, because the queue was full or the file had failed
@@ -119,7 +119,7 @@ class McapSink:
         on_event: EventHandler | None = None,
     ) -> None:
         if max_queued < 1:
-            raise ValueError(f"max_queued is {max_queued}; the queue needs room for at least one rollout")
+            raise ValueError(f"max_queued is {max_queued}; the queue holds at least one rollout")
         self.path = os.fspath(path)
         self._writer = RolloutWriter(path)
         self._queue: queue.Queue[Rollout | None] = queue.Queue(maxsize=max_queued)
@@ -237,7 +237,7 @@ class _WholeFlushes:
         return self.written + len(self._pending)
 
     def flush(self) -> None:
-        write_whole(self._file, bytes(self._pending), self.written)
+        append_atomically(self._file, bytes(self._pending), self.written)
         self.written += len(self._pending)
         self._pending.clear()
 

@@ -23,7 +23,7 @@ class PortTakenError(ValueError):
 
 
 class PrometheusSink(Collector):
-    """Serves what was written last. A thread of its own answers: whoever scrapes, or hangs, costs training nothing."""
+    """Serves what was written last. A thread of its own answers: a reader that hangs costs training nothing."""
 
     def __init__(self, port: int, *, run: str) -> None:
         """port: on loopback. Raises PortTakenError."""
@@ -39,7 +39,7 @@ class PrometheusSink(Collector):
             ) from error
 
     def write(self, update: int, metrics: Mapping[str, float]) -> None:
-        """Takes the place of what was served before."""
+        """Replaces what was served before."""
         del update
         self._values = check_metrics(metrics)
 

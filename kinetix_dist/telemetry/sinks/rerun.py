@@ -60,7 +60,7 @@ def rollout_to_rrd(rollout: Rollout, path: str | os.PathLike[str]) -> None:
     import rerun as rr
 
     if not Path(path).parent.is_dir():  # rerun itself would only log a warning
-        raise FileNotFoundError(f"{Path(path).parent} is no directory; create it or choose another place for the .rrd")
+        raise FileNotFoundError(f"{Path(path).parent} is no directory; create it or choose another path for the .rrd")
     try:
         with rr.RecordingStream(APPLICATION, recording_id=_recording_id(rollout), send_properties=False) as stream:
             stream.save(path, default_blueprint=rollout_blueprint(rollout))
@@ -207,7 +207,7 @@ def _colour(colour: Any) -> np.ndarray:
 
 
 def _log_body(stream: rr.RecordingStream, rollout: Rollout, i: int) -> None:
-    """How a shape moves, with all that lies in its frame. Fixed shapes are behind the others, each in its own plane."""
+    """Logs the motion of a shape with all that lies in its frame. Fixed shapes lie behind, each in its plane."""
     import rerun as rr
 
     is_fixed = np.asarray(rollout.level.scene.shapes.inverse_mass)[i] == 0
@@ -228,12 +228,12 @@ def _log_display(stream: rr.RecordingStream, rollout: Rollout, display: DisplayL
     """Every primitive of the display list, what belongs to shapes in their planes, the rest in front of all."""
     num_of_part: dict[tuple[str, int], int] = {}
     for primitive in display.primitives:
-        place = num_of_part.get(primitive.part, 0)
-        num_of_part[primitive.part] = place + 1
+        index = num_of_part.get(primitive.part, 0)
+        num_of_part[primitive.part] = index + 1
         kind, number = primitive.part
-        name = f"part_{place}" if kind == SHAPE else f"{kind}_{number}/part_{place}"
+        name = f"part_{index}" if kind == SHAPE else f"{kind}_{number}/part_{index}"
         path = f"{_shape_path(primitive.body)}/{name}"
-        depth = PART_DEPTH * place + (0.0 if kind == SHAPE else MARK_DEPTH)
+        depth = PART_DEPTH * index + (0.0 if kind == SHAPE else MARK_DEPTH)
         if primitive.thruster is not None:
             _log_flame(stream, rollout, primitive, path, depth)
         elif primitive.kind in (POLYGON, DISC):
@@ -241,7 +241,7 @@ def _log_display(stream: rr.RecordingStream, rollout: Rollout, display: DisplayL
         elif primitive.kind == LINE and primitive.upright is None:
             _log_line(stream, primitive, path, depth)
         else:
-            _log_moving_line(stream, rollout, primitive, f"world/{kind}_{number}/part_{place}", depth)
+            _log_moving_line(stream, rollout, primitive, f"world/{kind}_{number}/part_{index}", depth)
 
 
 def _log_filled(stream: rr.RecordingStream, rollout: Rollout, primitive: Primitive, path: str, depth: float) -> None:
@@ -277,11 +277,11 @@ def _log_line(stream: rr.RecordingStream, primitive: Primitive, path: str, depth
 def _log_moving_line(
     stream: rr.RecordingStream, rollout: Rollout, primitive: Primitive, path: str, depth: float
 ) -> None:
-    """What is rigid in the frame of no body: in the world, state by state."""
+    """Logs a line that is rigid in the frame of no body: in the world, state by state."""
     import rerun as rr
 
-    places = [world_points(primitive, *pose) for pose in zip(rollout.position, rollout.angle)]
-    strips = [[_at_depth(points, depth)] for points in places if points is not None]
+    points_by_state = [world_points(primitive, *pose) for pose in zip(rollout.position, rollout.angle)]
+    strips = [[_at_depth(points, depth)] for points in points_by_state if points is not None]
     style = rr.LineStrips3D.from_fields(
         colors=[_colour(primitive.fill)], radii=rr.Radius.ui_points(primitive.width / 2)
     )
@@ -291,7 +291,7 @@ def _log_moving_line(
 
 
 def _log_flame(stream: rr.RecordingStream, rollout: Rollout, primitive: Primitive, path: str, depth: float) -> None:
-    """As long as the thruster's share of its power, while it fires."""
+    """Logs the flame of a thruster while it fires, as long as its share of the power."""
     import rerun as rr
 
     if rollout.num_steps == 0:

@@ -1,7 +1,7 @@
 """Metrics as TensorBoard event files.
 
 tensorboardX writes them from a thread whose queue blocks for ever once that thread has died, of a full disk say. So its
-records go through `WholeWrites` here: an error is raised where it happens, and a file holds whole records only.
+records go through `AtomicAppender` here: an error is raised where it happens, and a file holds whole records only.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.record_writer import masked_crc32c
 from tensorboardX.summary import scalar
 
+from kinetix_dist.atomic_files import AtomicAppender
 from kinetix_dist.telemetry.names import check_metrics
-from kinetix_dist.telemetry.whole_writes import WholeWrites
 
 _FILE_VERSION = "brain.Event:2"  # what TensorBoard takes a file for
 
@@ -39,13 +39,13 @@ class TensorboardSink:
     def __init__(self, path: Path, *, purge_after: int | None = None) -> None:
         """path: of an event file; one that is there already is gone on with."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = WholeWrites(path)
+        self._file = AtomicAppender(path)
         if self._file.size == 0:
             events = [Event(wall_time=time.time(), file_version=_FILE_VERSION)]
             if purge_after is not None:
                 start = SessionLog(status=SessionLog.START)
                 events.append(Event(wall_time=time.time(), step=purge_after, session_log=start))
-            self._file.write(b"".join(map(_record, events)))
+            self._file.append(b"".join(map(_record, events)))
 
     def write(self, update: int, metrics: Mapping[str, float]) -> None:
         """One point a metric, at `progress/env_steps`; values that are not finite are left out."""
@@ -53,7 +53,7 @@ class TensorboardSink:
         step = int(values.get("progress/env_steps", update))
         finite = {name: value for name, value in values.items() if math.isfinite(value)}
         events = (Event(wall_time=time.time(), step=step, summary=scalar(*item)) for item in finite.items())
-        self._file.write(b"".join(map(_record, events)))
+        self._file.append(b"".join(map(_record, events)))
 
     def close(self) -> None:
         self._file.close()

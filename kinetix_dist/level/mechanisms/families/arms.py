@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Role
 from kinetix_dist.level.mechanisms.registry import family
 from kinetix_dist.level.mechanisms.template import (
     CLEARANCE_M,
@@ -21,7 +21,6 @@ from kinetix_dist.level.mechanisms.template import (
     Task,
     given,
 )
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 MAX_LINKS = 4  # of an arm

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jax2d.scene import Capacity
 from jax2d.settings import Settings
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Role
 from kinetix_dist.level.mechanisms.registry import family
 from kinetix_dist.level.mechanisms.template import (
     CLEARANCE_M,
@@ -23,7 +23,6 @@ from kinetix_dist.level.mechanisms.template import (
     Thruster,
     given,
 )
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 MAX_PENDULUM_LINKS = 3

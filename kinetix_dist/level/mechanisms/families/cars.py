@@ -8,9 +8,9 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
+from kinetix_dist.level.level import Role
 from kinetix_dist.level.mechanisms.registry import family
 from kinetix_dist.level.mechanisms.template import CLEARANCE_M, Draws, Joint, Mechanism, Part, Task, extent, given
-from kinetix_dist.level.roles import Role
 
 
 @family("unicycle", polygons=1, circles=2, joints=1)

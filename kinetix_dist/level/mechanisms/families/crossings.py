@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
-from kinetix_dist.level.level import WORLD_SIZE_M
+from kinetix_dist.level.level import WORLD_SIZE_M, Role
 from kinetix_dist.level.mechanisms.families.cars import scaled_car
 from kinetix_dist.level.mechanisms.registry import family
 from kinetix_dist.level.mechanisms.template import (
@@ -23,7 +23,6 @@ from kinetix_dist.level.mechanisms.template import (
     given,
     moved,
 )
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 

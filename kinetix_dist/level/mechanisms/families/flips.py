@@ -7,7 +7,7 @@ import math
 import jax.numpy as jnp
 
 from jax2d.scene import Capacity
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Role
 from kinetix_dist.level.mechanisms.registry import family
 from kinetix_dist.level.mechanisms.template import (
     CLEARANCE_M,
@@ -22,7 +22,6 @@ from kinetix_dist.level.mechanisms.template import (
     Thruster,
     given,
 )
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M
+from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Role
 from kinetix_dist.level.mechanisms.links import Body, Link, add_link
 from kinetix_dist.level.mechanisms.registry import family
 from kinetix_dist.level.mechanisms.template import (
@@ -25,7 +25,6 @@ from kinetix_dist.level.mechanisms.template import (
     given,
     mirrored_thrusters,
 )
-from kinetix_dist.level.roles import Role
 from kinetix_dist.level.walls import FLOOR_TOP_M
 
 MAX_BLOCKS = 3  # in the way of a flyer

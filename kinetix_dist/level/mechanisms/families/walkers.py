@@ -7,11 +7,10 @@ import math
 import jax.numpy as jnp
 
 from jax2d.scene import Capacity
-from kinetix_dist.level.level import NUM_WALLS
+from kinetix_dist.level.level import NUM_WALLS, Role
 from kinetix_dist.level.mechanisms.links import Body, Link, add_link
 from kinetix_dist.level.mechanisms.registry import family
 from kinetix_dist.level.mechanisms.template import Draws, Joint, Mechanism, Part, Task, given
-from kinetix_dist.level.roles import Role
 
 MAX_LEGS = 3  # of a walker
 MAX_SNAKE_LINKS = 6

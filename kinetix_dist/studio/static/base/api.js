@@ -33,14 +33,14 @@ export async function get(path, query = {}) {
 }
 
 /**
- * The result of a request, asked for again when an input changes; the result before stays until then.
+ * The result of a request, requested again when an input changes; the result before stays until then.
  * @template T
- * @param {() => Promise<T>} ask
+ * @param {() => Promise<T>} load
  * @param {readonly unknown[]} inputs
- * `isGone`: what was asked for is not there any more.
+ * `isGone`: the requested object does not exist any more.
  * @returns {{ data: T | null, error: string | null, isGone: boolean, isLoading: boolean }}
  */
-export function useRequest(ask, inputs) {
+export function useRequest(load, inputs) {
   const [state, set] = useState(
     /** @type {{ data: T | null, error: string | null, isGone: boolean, isLoading: boolean }} */ ({
       data: null,
@@ -52,7 +52,7 @@ export function useRequest(ask, inputs) {
   useEffect(() => {
     let isCurrent = true;
     set((before) => ({ ...before, isGone: false, isLoading: true }));
-    ask().then(
+    load().then(
       (data) => isCurrent && set({ data, error: null, isGone: false, isLoading: false }),
       (error) => isCurrent && set((before) => ({ ...before, error: String(error.message ?? error), isGone: Boolean(error.isGone), isLoading: false })),
     );

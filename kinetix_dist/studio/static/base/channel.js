@@ -1,4 +1,4 @@
-// The one websocket of the page: says which runs are watched, hears what is new, and comes back when it was cut off.
+// The one websocket of the page: names the runs that are watched, receives their changes, and reconnects when it is cut off.
 import { useEffect, useState } from "./html.js";
 
 const VERSION = 1;
@@ -35,13 +35,13 @@ class Channel {
     this.socket = socket;
     socket.onopen = () => {
       this.wait = FIRST_WAIT_MS;
-      this.say({ type: "hello", version: VERSION });
-      for (const { run, place } of this.watches.values()) this.say({ type: "watch", run, ...place() });
+      this.send({ type: "hello", version: VERSION });
+      for (const { run, place } of this.watches.values()) this.send({ type: "watch", run, ...place() });
       this.#setState("connected");
     };
     socket.onmessage = ({ data }) => {
       if (data instanceof ArrayBuffer) this.sessions.get(new DataView(data).getUint16(2, true))?.frame(data);
-      else this.#hear(JSON.parse(data));
+      else this.#onMessage(JSON.parse(data));
     };
     socket.onclose = () => {
       this.#setState("disconnected");
@@ -52,22 +52,22 @@ class Channel {
   }
 
   /** @param {Message} message */
-  say(message) {
+  send(message) {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
   /**
-   * Hears of a run until the returned function is called. `place`: what the page has of it already.
+   * Watches a run until the returned function is called. `place`: rows that the page has already.
    * @param {string} run
    * @param {() => { since: number | null, revision: number | null }} place
    * @param {Listener} listener
    */
   watch(run, place, listener) {
     this.watches.set(listener, { run, place });
-    this.say({ type: "watch", run, ...place() });
+    this.send({ type: "watch", run, ...place() });
     return () => {
       this.watches.delete(listener);
-      if (![...this.watches.values()].some((watch) => watch.run === run)) this.say({ type: "unwatch", run });
+      if (![...this.watches.values()].some((watch) => watch.run === run)) this.send({ type: "unwatch", run });
     };
   }
 
@@ -86,22 +86,22 @@ class Channel {
       }
       this.requests.set(id, { resolve, reject, progress });
       started?.(id);
-      this.say({ type, id, ...fields });
+      this.send({ type, id, ...fields });
     });
   }
 
-  /** Until the page is connected for the first time, or cannot be. @returns {Promise<void>} */
+  /** Resolves when the page is connected for the first time, or cannot be. @returns {Promise<void>} */
   #firstState() {
     return new Promise((resolve) => {
-      const hear = () => {
-        this.stateListeners.delete(hear);
+      const onState = () => {
+        this.stateListeners.delete(onState);
         resolve();
       };
-      this.stateListeners.add(hear);
+      this.stateListeners.add(onState);
     });
   }
 
-  /** What was asked for or is played is lost with the connection. */
+  /** Fails requests and sessions, which are lost with the connection. */
   #lose() {
     const lost = "the connection to the server was lost";
     for (const { reject } of this.requests.values()) reject(new Error(lost));
@@ -111,7 +111,7 @@ class Channel {
   }
 
   /** @param {Message} message */
-  #hear(message) {
+  #onMessage(message) {
     if (message.type === "hello") this.hasPlay = message.play;
     const request = this.requests.get(message.id);
     if (request) {

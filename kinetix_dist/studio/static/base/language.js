@@ -1,4 +1,4 @@
-// A language that `Intl` takes, before a library asks for it: a browser without one set (LANG=C) says "en-US@posix", and
+// A language that `Intl` takes, before a library uses it: a browser without one set (LANG=C) says "en-US@posix", and
 // uPlot throws on that where it is loaded. Nothing is changed in browsers whose language is a valid tag.
 
 /** The longest valid beginning of a language tag; "en-US" where there is none. @param {string} given */

@@ -22,7 +22,7 @@ export function toggleTheme() {
   dispatchEvent(new Event("themechange"));
 }
 
-// Lines differ by their dashes too, not by colour alone. The colours are those of Okabe and Ito, told apart by
+// Lines differ by their dashes too, not by colour alone. The colours are those of Okabe and Ito, distinguished by
 // colour-blind people.
 const LINES = ["line-0", "line-1", "line-2", "line-3", "line-4", "line-5", "line-6"];
 const DASHES = [[], [7, 3], [2, 3], [10, 3, 2, 3]];

@@ -13,7 +13,7 @@ const TOP = 14;
  */
 
 /**
- * `texts` says what a bar stands for, with its counts: it is shown beside the pointer.
+ * `texts`: meaning of each bar with its counts, shown next to the pointer.
  * @param {{ columns: string[], groups: BarGroup[], axis: string, max?: number, describe: string,
  *   format?: (value: number) => string }} props
  */
@@ -81,14 +81,14 @@ export function Bars({ columns, groups, axis, max, describe, format = (value) =>
     };
   });
 
-  const say = (/** @type {any} */ event) => {
+  const showNote = (/** @type {any} */ event) => {
     const box = /** @type {HTMLCanvasElement} */ (canvas.current).getBoundingClientRect();
     const place = layout(width(), columns.length, groups.length);
     const c = Math.floor((event.clientX - box.left - LEFT) / place.pitch);
     if (note.current) note.current.textContent = c >= 0 && c < columns.length ? groups.map((group) => `${group.label}: ${group.texts[c]}`).join(" · ") : "";
   };
   return html`<div><canvas class="bars" ref=${canvas} style=${{ width: "100%", height: `${HEIGHT}px` }} role="img" aria-label=${describe}
-      onMouseMove=${say} onMouseLeave=${() => note.current && (note.current.textContent = "")}></canvas>
+      onMouseMove=${showNote} onMouseLeave=${() => note.current && (note.current.textContent = "")}></canvas>
     <p class="soft note"><span>${groups.map((group, g) => html`<span key=${group.label} class="key"><i style=${{ background: lineStyle(g).stroke, opacity: g ? 0.55 : 0.9 }}></i>${group.label}</span>`)}</span>
       <span ref=${note}></span></p></div>`;
 }

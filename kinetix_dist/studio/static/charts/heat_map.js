@@ -1,9 +1,9 @@
-// Cells of colour with a label a row and a column: what a cell says stands beside the pointer, in its title, in the CSV.
+// Cells of colour with a label a row and a column: the text of a cell stands next to the pointer, in its title, in the CSV.
 import { html, useEffect, useRef } from "../base/html.js";
 import { colour } from "../base/theme.js";
 
 /**
- * `values` 0 to 1, null: no cell. `texts` says what a cell stands for, with its counts.
+ * `values` 0 to 1, null: no cell. `texts`: meaning of each cell with its counts.
  * @param {{ rows: string[], columns: string[], values: (number | null)[][], texts: string[][], cellWidth?: number,
  *   cellHeight?: number, labelWidth?: number, choose?: (row: number, column: number) => void, chosen?: number | null,
  *   describe: string }} props
@@ -67,7 +67,7 @@ export function HeatMap(props) {
     const r = Math.floor((event.clientY - box.top) / cellHeight);
     return r >= 0 && c >= 0 && r < rows.length && c < columns.length ? [r, c] : null;
   };
-  const say = (/** @type {any} */ event) => {
+  const showNote = (/** @type {any} */ event) => {
     const cell = cellAt(event);
     if (note.current) note.current.textContent = cell ? texts[cell[0]][cell[1]] : "";
   };
@@ -76,7 +76,7 @@ export function HeatMap(props) {
     if (cell) props.choose?.(...cell);
   };
   return html`<div class="scroll"><canvas class="heat" ref=${canvas} style=${{ width: `${width}px`, height: `${height}px` }} role="img"
-      aria-label=${props.describe} onMouseMove=${say} onMouseLeave=${say} onClick=${click}></canvas></div>
+      aria-label=${props.describe} onMouseMove=${showNote} onMouseLeave=${showNote} onClick=${click}></canvas></div>
     <p class="soft note" ref=${note}></p>`;
 }
 

@@ -133,7 +133,7 @@ function options(props, width) {
         valueText(latest.get(u)?.lines[index], value, k),
     });
     if (line.low && line.high) {
-      // Edges of bands have no row in the legend: they stand beside their curve.
+      // Edges of bands have no row in the legend: they follow their curve.
       const edge = { stroke: "transparent", points: { show: false }, class: "hidden" };
       series.push(edge, { ...edge });
       bands.push({ series: [own + 2, own + 1], fill: `${stroke}33` });
@@ -172,13 +172,13 @@ function options(props, width) {
   };
 }
 
-/** Limits with room around the values; constants have 1 around them. @param {number | null} low @param {number | null} high
+/** Limits with a margin around the values; constants have 1 around them. @param {number | null} low @param {number | null} high
  * @returns {[number, number]} */
 function rangeOf(low, high) {
   if (low === null || high === null) return [0, 1];
   if (low === high) return low === 0 ? [0, 1] : [Math.min(low, 0), Math.max(1.2 * high, 0)];
-  const room = 0.06 * (high - low);
-  return [low >= 0 && low < room ? 0 : low - room, high + room];
+  const margin = 0.06 * (high - low);
+  return [low >= 0 && low < margin ? 0 : low - margin, high + margin];
 }
 
 /** Places of values without a neighbour, which no line shows; null where there is none. What is undefined is bridged.

@@ -1,4 +1,4 @@
-// The curriculum of a run: what refreshes kept, whether it was what they claimed, what was learned, what persists.
+// The curriculum of a run: levels chosen by refreshes, their rates in training, learning, and levels that stay.
 import { addressOf, setQuery, useAddress } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
 import { percent, rateOverLevels, rateWithCount, short } from "../base/format.js";
@@ -111,22 +111,22 @@ function percentOf(k, of) {
 
 /** @param {{ run: string, snapshots: any[] }} props */
 function Persistence({ run, snapshots }) {
-  const later = snapshots.filter((entry) => entry.kept !== undefined);
-  const kept = later.map((entry) => entry.kept);
-  const isPlain = later.length && kept.every((count) => count === 0);
-  const rows = () => [["version", "kept", "levels"], ...later.map((entry) => [entry.number, entry.kept, entry.num_levels])];
+  const later = snapshots.filter((entry) => entry.retained !== undefined);
+  const retained = later.map((entry) => entry.retained);
+  const isPlain = later.length && retained.every((count) => count === 0);
+  const rows = () => [["version", "retained", "levels"], ...later.map((entry) => [entry.number, entry.retained, entry.num_levels])];
   return html`<${Panel} title="What persists from refresh to refresh" help="levels that the buffer before had too" rows=${rows} name=${`${run} persistence`}
     missing=${later.length ? null : "There is one refresh so far."}>
     ${isPlain ? html`<p>0 of ${later.at(-1).num_levels} levels, ${later.length === 1 ? "in the one refresh" : `in each of ${later.length} refreshes`} after the first. Plain SFL draws all candidates afresh, so that no level persists, by construction.</p>`
-      : html`<${LineChart} x=${later.map((entry) => entry.first_batch)} lines=${[{ label: "levels kept", values: kept }]} axis="in use from update" />`}
+      : html`<${LineChart} x=${later.map((entry) => entry.first_batch)} lines=${[{ label: "levels retained", values: retained }]} axis="in use from update" />`}
   </${Panel}>`;
 }
 
 /** @param {{ run: string, buffers: any[] }} props */
 function ReplayBuffers({ run, buffers }) {
   const x = buffers.map((entry) => entry.number);
-  const lines = [{ label: "levels", values: buffers.map((entry) => entry.num_levels) }, { label: "of these in the snapshot before", values: buffers.map((entry) => entry.kept ?? null) }];
-  const rows = () => [["update", "levels", "kept", "mean_score"], ...buffers.map((entry) => [entry.number, entry.num_levels, entry.kept ?? null, entry.mean_score])];
+  const lines = [{ label: "levels", values: buffers.map((entry) => entry.num_levels) }, { label: "of these in the snapshot before", values: buffers.map((entry) => entry.retained ?? null) }];
+  const rows = () => [["update", "levels", "retained", "mean_score"], ...buffers.map((entry) => [entry.number, entry.num_levels, entry.retained ?? null, entry.mean_score])];
   const of = buffers.at(-1);
   return html`<${Panel} title="Replay buffer: levels" rows=${rows} name=${`${run} replay buffer`} help="at each checkpoint; parents of levels are not recorded"
     buttons=${html`<a class="button" href=${addressOf(["run", run, "levels"], new URLSearchParams({ of: `buffer ${of.number}` }))}>its levels</a>`}>
@@ -156,12 +156,12 @@ function Counts({ run, entry }) {
   const beyond = table.filter((/** @type {number[]} */ row) => row[1] > most).reduce((/** @type {number} */ sum, /** @type {number[]} */ row) => sum + row[2], 0);
   const at = new Map(table.map((/** @type {number[]} */ [s, f, n]) => [`${s} ${f}`, n]));
   const total = entry.candidates.levels;
-  const kept = new Map(entry.buffer.counts.map((/** @type {number[]} */ [s, f, n]) => [`${s} ${f}`, n]));
+  const chosen = new Map(entry.buffer.counts.map((/** @type {number[]} */ [s, f, n]) => [`${s} ${f}`, n]));
   const numbers = [...Array(most + 1).keys()];
   const highest = Math.max(1, ...table.filter((/** @type {number[]} */ row) => row[1] <= most).map((/** @type {number[]} */ row) => row[2]));
   const values = [...numbers].reverse().map((s) => numbers.map((f) => (at.has(`${s} ${f}`) ? at.get(`${s} ${f}`) / highest : null)));
-  const texts = [...numbers].reverse().map((s) => numbers.map((f) => `${s} of ${f} episodes solved: ${at.get(`${s} ${f}`) ?? 0} of ${total} candidates, ${kept.get(`${s} ${f}`) ?? 0} of them kept`));
-  const rows = () => [["solved", "finished", "candidates", "kept"], ...table.map((/** @type {number[]} */ [s, f, n]) => [s, f, n, kept.get(`${s} ${f}`) ?? 0])];
+  const texts = [...numbers].reverse().map((s) => numbers.map((f) => `${s} of ${f} episodes solved: ${at.get(`${s} ${f}`) ?? 0} of ${total} candidates, ${chosen.get(`${s} ${f}`) ?? 0} of them chosen`));
+  const rows = () => [["solved", "finished", "candidates", "chosen"], ...table.map((/** @type {number[]} */ [s, f, n]) => [s, f, n, chosen.get(`${s} ${f}`) ?? 0])];
   return html`<${Panel} title="Solved x finished, of the candidates" help="levels, 100 for the most frequent pair" rows=${rows} name=${`${run} counts ${entry.number}`}>
     <${HeatMap} rows=${[...numbers].reverse().map((s) => `${s} solved`)} columns=${numbers.map((f) => `${f} fin.`)} values=${values} texts=${texts} labelWidth=${70} cellWidth=${46} cellHeight=${22} describe="candidates by solved and finished episodes" />
     ${beyond ? html`<p class="soft">${beyond} candidates finished more than ${most} episodes; the CSV has them.</p>` : null}</${Panel}>`;

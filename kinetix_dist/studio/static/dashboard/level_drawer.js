@@ -1,4 +1,4 @@
-// One level of a buffer beside the thumbnails: played in place, 64 attempts, its history, its file.
+// One level of a buffer next to the thumbnails: played in place, 64 attempts, its history, its file.
 import { addressOf, setQuery } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
 import { percent, rateWithCount, short } from "../base/format.js";
@@ -33,7 +33,7 @@ export function LevelDrawer({ run, snapshot, level, picture, changes }) {
   </aside>`;
 }
 
-/** When the level was scored, kept, played in training and played again. @param {{ own: string, changes: number }} props */
+/** Updates at which the level was scored, chosen, played in training and played again. @param {{ own: string, changes: number }} props */
 function History({ own, changes }) {
   const { data, error, isGone } = useRequest(() => get(`${own}/history`), [own, changes]);
   if (!data) return html`<${Notes} notes=${error && !isGone ? [error] : []} />`;
@@ -47,7 +47,7 @@ function History({ own, changes }) {
   return html`<section data-panel="history"><h3>History</h3>
     ${data.windows.length ? html`<${LineChart} x=${of("update")} lines=${[{ label: "solved in training", values: of("rate"), low: of("low"), high: of("high") }]} axis="updates" height=${130} />` : null}
     <table class="tight"><tbody>${rows.map(({ update, what, counts }) => html`<tr key=${`${update} ${what}`}><td>${what}</td><td class="number">${counts ? rateWithCount(counts.solved, counts.episodes) : ""}</td></tr>`)}</tbody></table>
-    ${data.windows.length ? null : html`<p class="missing">It was not played in training so far, or its curriculum does not say which levels were.</p>`}
+    ${data.windows.length ? null : html`<p class="missing">It was not played in training so far, or its curriculum does not log which levels were.</p>`}
   </section>`;
 }
 

@@ -1,4 +1,4 @@
-// Small things that several pages show.
+// Small parts of several pages.
 import { html } from "../base/html.js";
 
 const MARKS = { running: "▶", silent: "?", finished: "✓", stopped: "■", failed: "✗", "not started": "…" };

@@ -29,7 +29,7 @@ export function Processes({ run, changes }) {
 /** @param {{ data: any }} props */
 function Idle({ data }) {
   const names = Object.keys(data.idle).slice(0, MAX_ROWS);
-  if (!names.length) return html`<p class="soft">None says how much of the time it is idle: training in one process, or its first minute.</p>`;
+  if (!names.length) return html`<p class="soft">No process reports its idle time: training in one process, or its first minute.</p>`;
   const texts = names.map((name) => data.idle[name].map((/** @type {number | null} */ share, /** @type {number} */ k) => `${name} up to update ${data.updates[k]}: idle ${percent(share)} of the time`));
   return html`<${HeatMap} rows=${names} columns=${data.updates.map(String)} values=${names.map((name) => data.idle[name])} texts=${texts} labelWidth=${90} cellWidth=${data.updates.length > 20 ? undefined : 40} describe="idle share of each process over updates" />`;
 }

@@ -41,7 +41,7 @@ export function ReplaysPage({ run }) {
   </main>`;
 }
 
-/** rerun's own viewer in the page, once it is asked for; and the file that it shows. @param {{ address: string }} props */
+/** rerun's own viewer in the page, once it is requested; and the file that it shows. @param {{ address: string }} props */
 function Rerun({ address }) {
   const [state, setState] = useState(/** @type {{ viewer?: string, rrd?: string, error?: string, isMaking?: boolean }} */ ({}));
   const open = async () => {

@@ -1,4 +1,4 @@
-// How often a run has changed since a page is open: pages that show files as a whole ask for them again then.
+// How often a run has changed since a page is open: pages that show whole files request them again then.
 import { channel } from "../base/channel.js";
 import { useEffect, useState } from "../base/html.js";
 

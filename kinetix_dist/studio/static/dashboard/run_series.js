@@ -1,4 +1,4 @@
-// Curves of a run that grow while it trains: asked for once, then rows are added as the channel brings them.
+// Curves of a run that grow while it trains: requested once, then rows are added as the channel brings them.
 import { get } from "../base/api.js";
 import { channel } from "../base/channel.js";
 import { useEffect, useRef, useState } from "../base/html.js";
@@ -37,7 +37,7 @@ export function useSeries(run, names, view) {
     let timer = null;
     const show = (/** @type {Partial<typeof state>} */ fields) =>
       isHere && setState((before) => ({ ...before, ...fields, curves: curves.current && { ...curves.current } }));
-    const ask = async () => {
+    const load = async () => {
       timer = null;
       try {
         const query = { names: names.join(","), x: view.axis, points: POINTS, from: view.from, to: view.to };
@@ -51,9 +51,9 @@ export function useSeries(run, names, view) {
       }
     };
     const askSoon = () => {
-      if (names.length) timer ??= setTimeout(ask, REFETCH_MS);
+      if (names.length) timer ??= setTimeout(load, REFETCH_MS);
     };
-    if (names.length) ask();
+    if (names.length) load();
     const place = () => ({ since: curves.current?.rows ?? null, revision: curves.current?.revision ?? null });
     const stop = channel.watch(run, place, (message) => {
       if (message.type === "reading") show({ bytesLeft: message.bytes_left });

@@ -15,13 +15,13 @@ export function RunsPage() {
   const [filter, setFilter] = useState("");
   useEffect(() => {
     let isHere = true;
-    const ask = () =>
+    const load = () =>
       get("runs").then(
         (found) => isHere && (setAnswer(found), setError(null)),
         (problem) => isHere && setError(problem.message),
       );
-    ask();
-    const timer = setInterval(() => !document.hidden && ask(), REFRESH_MS);
+    load();
+    const timer = setInterval(() => !document.hidden && load(), REFRESH_MS);
     return () => {
       isHere = false;
       clearInterval(timer);

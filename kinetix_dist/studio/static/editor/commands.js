@@ -39,7 +39,7 @@ function arrow(editor, key) {
   }
   const [x, y] = editor.cursor ?? editor.view.middle;
   editor.cursor = [x + dx * step, y + dy * step];
-  editor.say(`${editor.cursor[0].toFixed(3)}, ${editor.cursor[1].toFixed(3)} m`);
+  editor.notify(`${editor.cursor[0].toFixed(3)}, ${editor.cursor[1].toFixed(3)} m`);
 }
 
 /** Click with the cross. @param {Editor} editor */
@@ -49,7 +49,7 @@ function click(editor) {
   TOOLS[editor.tool].down(editor, pointer)?.up(pointer);
 }
 
-/** To the next thing, or the one before. @param {Editor} editor @param {number} by */
+/** Selects the next element, or the one before. @param {Editor} editor @param {number} by */
 function next(editor, by) {
   const all = everything(editor.settled);
   if (!all.length) return;
@@ -66,14 +66,14 @@ export const COMMANDS = [
   { keys: ["ctrl+z"], label: "Undo", mark: "↶", run: (editor) => editor.undo() },
   { keys: ["ctrl+y", "ctrl+shift+z"], label: "Redo", mark: "↷", run: (editor) => editor.redo() },
   { keys: ["ctrl+c"], label: "Copy", mark: "copy", run: (editor) => setClipboard(copied(editor.settled, editor.selection)) },
-  { keys: ["ctrl+v"], label: "Paste", mark: "paste", run: (editor) => (clipboard ? paste(editor, clipboard) : editor.say("nothing was copied")) },
+  { keys: ["ctrl+v"], label: "Paste", mark: "paste", run: (editor) => (clipboard ? paste(editor, clipboard) : editor.notify("nothing was copied")) },
   { keys: ["ctrl+x"], label: "Cut", run: (editor) => { setClipboard(copied(editor.settled, editor.selection)); editor.commit(without(editor.settled, editor.selection), []); } },
   { keys: ["ctrl+d"], label: "Duplicate", mark: "double", run: (editor) => paste(editor, copied(editor.settled, editor.selection)) },
   { keys: ["delete", "backspace"], label: "Delete", mark: "delete", run: (editor) => editor.commit(without(editor.settled, editor.selection), []) },
   { keys: ["ctrl+a"], label: "Select all", run: (editor) => editor.select(everything(editor.settled)) },
-  { keys: ["g"], label: "Select what is joined", mark: "joined", run: (editor) => editor.select(joined(editor.settled, editor.selection)) },
-  { keys: ["tab"], label: "Next thing", run: (editor) => next(editor, 1) },
-  { keys: ["shift+tab"], label: "Thing before", run: (editor) => next(editor, -1) },
+  { keys: ["g"], label: "Select joined", mark: "joined", run: (editor) => editor.select(joined(editor.settled, editor.selection)) },
+  { keys: ["tab"], label: "Next element", run: (editor) => next(editor, 1) },
+  { keys: ["shift+tab"], label: "Element before", run: (editor) => next(editor, -1) },
   { keys: ["m"], label: "Mirror", mark: "mirror", run: (editor) => changed(editor, (level) => mirrored(level, editor.selection, editor.walls)) },
   { keys: ["["], label: "Turn left 15°", run: (editor) => changed(editor, (level) => turned(level, editor.selection, TURN_RAD, editor.walls)) },
   { keys: ["]"], label: "Turn right 15°", run: (editor) => changed(editor, (level) => turned(level, editor.selection, -TURN_RAD, editor.walls)) },
@@ -93,7 +93,7 @@ export const COMMANDS = [
   { keys: ["+", "="], label: "Nearer", mark: "+", run: (editor) => editor.zoom(1 / 1.25, editor.view.middle) },
   { keys: ["-"], label: "Farther", mark: "−", run: (editor) => editor.zoom(1.25, editor.view.middle) },
   { keys: ["0"], label: "Whole box", mark: "whole", run: (editor) => { editor.view = { ...WHOLE_VIEW }; editor.changed(); } },
-  { keys: ["n"], label: "Snap on or off", mark: "snap", run: (editor) => { editor.snaps = !editor.snaps; editor.say(`snapping ${editor.snaps ? "on" : "off"}`); } },
+  { keys: ["n"], label: "Snap on or off", mark: "snap", run: (editor) => { editor.snaps = !editor.snaps; editor.notify(`snapping ${editor.snaps ? "on" : "off"}`); } },
   ...Object.entries(TOOLS).map(([name, tool]) => ({ keys: [tool.key], label: `Tool: ${tool.label}`, run: (/** @type {Editor} */ editor) => editor.use(name) })),
 ];
 

@@ -1,5 +1,5 @@
 // A level document (docs/level_format.md) as a value: functions return another document and never change one.
-// Things are named as the validator names them: "shapes[2]", "joints[0]", "thrusters[1]", "walls.floor".
+// Elements (shapes, joints, thrusters, walls) are named as the validator names them: "shapes[2]", "joints[0]", "thrusters[1]", "walls.floor".
 import { add, bounds, distance, isInside, rotate, roundedPoint, sub } from "./geometry.js";
 
 /**
@@ -50,33 +50,33 @@ export function parsePath(path) {
   return wall ? { part: "walls", name: wall[1] } : null;
 }
 
-/** The thing of a path, or of a path into it; undefined: it is not there. A wall without fields is {}.
+/** The element of a path, or of a path into it; undefined: it is not there. A wall without fields is {}.
  * @param {Level} document @param {string} path @returns {any} */
-export function thingAt(document, path) {
+export function elementAt(document, path) {
   const found = parsePath(path);
   if (!found) return undefined;
   return found.part === "walls" ? (document.walls?.[found.name] ?? {}) : document[found.part]?.[found.index];
 }
 
-/** @param {Level} document @param {string} path @param {any} thing @returns {Level} */
-export function withThing(document, path, thing) {
+/** @param {Level} document @param {string} path @param {any} element @returns {Level} */
+export function withElement(document, path, element) {
   const found = parsePath(path);
   if (!found) throw new Error(`${path} names nothing`);
   if (found.part === "walls") {
-    const walls = { ...document.walls, [found.name]: thing };
-    if (!Object.keys(thing).length) delete walls[found.name];
+    const walls = { ...document.walls, [found.name]: element };
+    if (!Object.keys(element).length) delete walls[found.name];
     if (Object.keys(walls).length) return { ...document, walls };
     const { walls: _, ...rest } = document;
     return /** @type {Level} */ (rest);
   }
   const list = [.../** @type {any[]} */ (document[found.part] ?? [])];
-  list[found.index] = thing;
+  list[found.index] = element;
   return { ...document, [found.part]: list };
 }
 
-/** With one more at the end of a part. @param {Level} document @param {Part} part @param {any} thing @returns {Level} */
-export function added(document, part, thing) {
-  return { ...document, [part]: [...(document[part] ?? []), thing] };
+/** With one more at the end of a part. @param {Level} document @param {Part} part @param {any} element @returns {Level} */
+export function added(document, part, element) {
+  return { ...document, [part]: [...(document[part] ?? []), element] };
 }
 
 /** @param {Level} document */

@@ -1,5 +1,5 @@
-// Changes of several things at once: move, turn, mirror, align, copy, paste, delete, join. All return another document.
-import { added, bodyOf, boundsOf, jointEnds, jointsOf, newId, parsePath, PARTS, thingAt, thrustersOf, toLocal, toWorld } from "./document.js";
+// Changes of several elements at once: move, turn, mirror, align, copy, paste, delete, join. All return another document.
+import { added, bodyOf, boundsOf, jointEnds, jointsOf, newId, parsePath, PARTS, elementAt, thrustersOf, toLocal, toWorld } from "./document.js";
 import { add, rotate, rounded, roundedPoint, sub, wrapped } from "./geometry.js";
 
 /**
@@ -29,7 +29,7 @@ export function middleOf(shapes) {
 }
 
 /**
- * Shapes carried to other places. Joints of two shapes that are carried and thrusters on them come along; a joint of one
+ * Moves shapes. Joints of two moved shapes and thrusters on them move too; a joint of one
  * that is carried and one that is not stays where it is in the world.
  * @param {Level} document @param {ReadonlySet<string>} ids @param {(shape: Shape) => Shape} carry @param {(point: Point) => Point} place
  * @param {readonly Wall[]} walls @param {{ joint?: (joint: any) => any, thruster?: (thruster: any) => any }} [also]
@@ -132,7 +132,7 @@ export function mirrored(document, selection, walls) {
   const [middle] = middleOf(document.shapes.filter((shape) => ids.has(shape.id)));
   const place = (/** @type {Point} */ [x, y]) => /** @type {Point} */ ([2 * middle - x, y]);
   const flipped = (/** @type {Point} */ [x, y]) => /** @type {Point} */ ([rounded(-x), y]);
-  const negative = (/** @type {any} */ thing, /** @type {string} */ field) => (thing[field] === undefined ? {} : { [field]: rounded(-thing[field]) });
+  const negative = (/** @type {any} */ element, /** @type {string} */ field) => (element[field] === undefined ? {} : { [field]: rounded(-element[field]) });
   const carry = (/** @type {Shape} */ shape) => ({
     ...shape,
     position: roundedPoint(place(shape.position)),
@@ -187,8 +187,8 @@ export function distributed(document, selection, axis, walls) {
   const boxes = selectedShapes(document, selection).map((index) => ({ index, box: boundsOf(document.shapes[index]) }));
   if (boxes.length < 3) return document;
   boxes.sort((a, b) => a.box[axis] + a.box[axis + 2] - b.box[axis] - b.box[axis + 2]);
-  const room = boxes[boxes.length - 1].box[axis + 2] - boxes[0].box[axis];
-  const gap = (room - boxes.reduce((sum, { box }) => sum + box[axis + 2] - box[axis], 0)) / (boxes.length - 1);
+  const extent = boxes[boxes.length - 1].box[axis + 2] - boxes[0].box[axis];
+  const gap = (extent - boxes.reduce((sum, { box }) => sum + box[axis + 2] - box[axis], 0)) / (boxes.length - 1);
   let next = boxes[0].box[axis];
   return boxes.reduce((level, { index, box }) => {
     const step = /** @type {Point} */ ([0, 0]);
@@ -269,4 +269,4 @@ export function everything(document) {
 }
 
 /** Of a selection what is there still. @param {Level} document @param {readonly string[]} selection */
-export const stillThere = (document, selection) => selection.filter((path) => thingAt(document, path) !== undefined);
+export const stillThere = (document, selection) => selection.filter((path) => elementAt(document, path) !== undefined);

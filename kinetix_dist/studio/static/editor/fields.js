@@ -54,11 +54,11 @@ const MOTOR = [
   { name: "motor.on", kind: "flag", missing: true },
 ];
 
-/** Fields of one thing. @param {string} part @param {any} thing @param {string[]} bodies names of shapes and walls @returns {Field[]} */
-export function fieldsOf(part, thing, bodies) {
+/** Fields of one element. @param {string} part @param {any} element @param {string[]} bodies names of shapes and walls @returns {Field[]} */
+export function fieldsOf(part, element, bodies) {
   if (part === "walls") return SURFACE;
   if (part === "shapes") {
-    const own = (OF_TYPE[thing.type] ?? []).filter((field) => !field.name.startsWith("vertices.") || thing.vertices?.[Number(field.name.slice(9))]);
+    const own = (OF_TYPE[element.type] ?? []).filter((field) => !field.name.startsWith("vertices.") || element.vertices?.[Number(field.name.slice(9))]);
     return [
       { name: "id", kind: "text", required: true },
       { name: "position", kind: "point", unit: "m", required: true },
@@ -70,14 +70,14 @@ export function fieldsOf(part, thing, bodies) {
   if (part === "thrusters") {
     return [
       { name: "shape", kind: "choice", options: bodies, required: true },
-      thing.anchor ? { name: "anchor", label: "anchor (world)", kind: "point", unit: "m", required: true } : { name: "position", label: "position (on the shape)", kind: "point", unit: "m", missing: [0, 0] },
+      element.anchor ? { name: "anchor", label: "anchor (world)", kind: "point", unit: "m", required: true } : { name: "position", label: "position (on the shape)", kind: "point", unit: "m", missing: [0, 0] },
       { name: "angle", kind: "number", unit: "rad", required: true },
       { name: "power", kind: "number", missing: 1, low: 0, step: 0.1 },
       { name: "colour", kind: "choice", options: ["0", "1"], missing: 0 },
     ];
   }
   /** @type {Field[]} */
-  const ends = thing.anchor
+  const ends = element.anchor
     ? [{ name: "anchor", label: "anchor (world)", kind: "point", unit: "m", required: true }]
     : ["a", "b"].map((end) => ({ name: `anchor_${end}`, label: `anchor on ${end}`, kind: "point", unit: "m", required: true }));
   return [
@@ -86,26 +86,26 @@ export function fieldsOf(part, thing, bodies) {
     { name: "b", kind: "choice", options: bodies, required: true },
     ...ends,
     { name: "rest_angle", label: "rest angle", kind: "number", unit: "rad" },
-    ...(thing.type === "prismatic" ? [/** @type {Field} */ ({ name: "axis", kind: "number", unit: "rad", required: true })] : []),
-    ...(thing.limits ? [/** @type {Field} */ ({ name: "limits", kind: "point", unit: thing.type === "prismatic" ? "m" : "rad", required: true })] : []),
-    ...(thing.motor ? MOTOR : []),
+    ...(element.type === "prismatic" ? [/** @type {Field} */ ({ name: "axis", kind: "number", unit: "rad", required: true })] : []),
+    ...(element.limits ? [/** @type {Field} */ ({ name: "limits", kind: "point", unit: element.type === "prismatic" ? "m" : "rad", required: true })] : []),
+    ...(element.motor ? MOTOR : []),
   ];
 }
 
-/** @param {any} thing @param {Field} field */
-export function valueOf(thing, field) {
-  return field.name.split(".").reduce((value, key) => value?.[key], thing) ?? field.missing;
+/** @param {any} element @param {Field} field */
+export function valueOf(element, field) {
+  return field.name.split(".").reduce((value, key) => value?.[key], element) ?? field.missing;
 }
 
-/** The thing with another value of a field; one that holds anyhow is left out. @param {any} thing @param {Field} field @param {any} value @returns {any} */
-export function withValue(thing, field, value) {
+/** The element with another value of a field; one that holds anyhow is left out. @param {any} element @param {Field} field @param {any} value @returns {any} */
+export function withValue(element, field, value) {
   const [key, ...rest] = field.name.split(".");
   const isMissing = value === undefined || (!field.required && JSON.stringify(value) === JSON.stringify(field.missing));
   if (rest.length) {
-    const inner = withValue(thing[key] ?? {}, { ...field, name: rest.join(".") }, value);
-    return { ...thing, [key]: Array.isArray(thing[key]) ? Object.values(inner) : inner };
+    const inner = withValue(element[key] ?? {}, { ...field, name: rest.join(".") }, value);
+    return { ...element, [key]: Array.isArray(element[key]) ? Object.values(inner) : inner };
   }
-  const changed = { ...thing, [key]: value };
+  const changed = { ...element, [key]: value };
   if (isMissing) delete changed[key];
   return changed;
 }

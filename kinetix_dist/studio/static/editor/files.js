@@ -31,7 +31,7 @@ export async function readLevel(text) {
   const all = ["shapes", "joints", "thrusters"].map((part) => document[part] ?? []);
   if (!all.every(Array.isArray)) throw new Error("this is no level: joints and thrusters are lists");
   if (all.some((part) => part.length > 1000)) throw new Error("this is too large for a level: more than 1,000 shapes, joints or thrusters");
-  if (all.some((part) => part.some((/** @type {any} */ thing) => thing === null || typeof thing !== "object"))) throw new Error("this is no level: shapes, joints and thrusters are objects");
+  if (all.some((part) => part.some((/** @type {any} */ element) => element === null || typeof element !== "object"))) throw new Error("this is no level: shapes, joints and thrusters are objects");
   return document;
 }
 
@@ -45,9 +45,9 @@ export async function openText(editor, text) {
       return;
     }
     editor.open(await readLevel(text));
-    editor.say("opened; undo brings back the level before");
+    editor.notify("opened; undo brings back the level before");
   } catch (error) {
-    editor.say(error instanceof Error ? error.message : String(error));
+    editor.notify(error instanceof Error ? error.message : String(error));
   }
 }
 
@@ -78,7 +78,7 @@ export async function openFile(editor, name) {
 /** @typedef {{ name: string, problem: string, hash: string | null }} Conflict hash: of what is there instead; null: nothing */
 
 /** Saves to a file of the command line, if it is what it was. @param {Editor} editor @param {string} name
- * @param {Conflict | null} over what a person agreed to lose @returns {Promise<Conflict | null>} null: saved, or why not was said */
+ * @param {Conflict | null} over what a person agreed to lose @returns {Promise<Conflict | null>} null: saved, or the reason was shown */
 export async function saveFile(editor, name, over = null) {
   const { document } = editor;
   const text = documentText(document);
@@ -87,7 +87,7 @@ export async function saveFile(editor, name, over = null) {
   const headers = known === null ? { "If-None-Match": "*" } : { "If-Match": `"${known}"` };
   const answer = await fetch(address(name), { method: "PUT", body: text, headers }).catch(() => null);
   if (!answer) {
-    editor.say("not saved: the server does not answer");
+    editor.notify("not saved: the server does not answer");
     return null;
   }
   const content = await answer.json();
@@ -95,12 +95,12 @@ export async function saveFile(editor, name, over = null) {
     return { name, problem: content.error, hash: content.hash };
   }
   if (!answer.ok) {
-    editor.say(`not saved: ${content.error}`);
+    editor.notify(`not saved: ${content.error}`);
     return null;
   }
   editor.files.set(name, { hash: content.hash, text });
   if (editor.file !== name) editor.commit(document, editor.selection, name);
-  editor.say(`saved to ${name}`);
+  editor.notify(`saved to ${name}`);
   return null;
 }
 
@@ -115,7 +115,7 @@ export async function downloadLevel(editor, format) {
     const text = isOurs ? documentText(document) : JSON.stringify((await channel.request("convert", { document, to: format })).document);
     download(`${fileName(document)}${isOurs ? "" : ".public"}.json`, new Blob([text], { type: "application/json" }));
   } catch (error) {
-    editor.say(error instanceof Error ? error.message : String(error));
+    editor.notify(error instanceof Error ? error.message : String(error));
   }
 }
 
@@ -151,14 +151,14 @@ export async function unpacked(text) {
   return result + decoder.decode();
 }
 
-/** What is worked on, kept by the browser until it is saved. @param {Editor} editor */
+/** Draft of the level, stored by the browser until it is saved. @param {Editor} editor */
 export function keepDraft(editor) {
   const { document, file } = editor.history.present;
   if (!editor.history.past.length || !editor.isUnsaved) return;
   try {
     localStorage.setItem(DRAFT, JSON.stringify({ text: documentText(document), file, at: Date.now() }));
   } catch {
-    editor.say("the browser keeps no draft: its storage is full or off");
+    editor.notify("the browser stores no draft: its storage is full or off");
   }
 }
 

@@ -32,7 +32,7 @@ function Thumbnail({ entry, engine, open }) {
     try {
       return entry.text && !entry.text.includes('"env_state"') ? levelPicture(JSON.parse(entry.text), engine) : null;
     } catch {
-      return null; // said when it is opened
+      return null; // shown when it is opened
     }
   }, [entry.text, engine]);
   const poses = picture ? Array.from({ length: picture.poses.length / 3 }, (_, k) => picture.poses.slice(3 * k, 3 * k + 3)) : [];

@@ -56,13 +56,13 @@ export function hull(points) {
   const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
   const half = (/** @type {Point[]} */ line) => {
     /** @type {Point[]} */
-    const kept = [];
+    const hull = [];
     for (const point of line) {
-      while (kept.length > 1 && cross(sub(kept[kept.length - 1], kept[kept.length - 2]), sub(point, kept[kept.length - 1])) <= 1e-9) kept.pop();
-      kept.push(point);
+      while (hull.length > 1 && cross(sub(hull[hull.length - 1], hull[hull.length - 2]), sub(point, hull[hull.length - 1])) <= 1e-9) hull.pop();
+      hull.push(point);
     }
-    kept.pop();
-    return kept;
+    hull.pop();
+    return hull;
   };
   return [...half(sorted), ...half(sorted.reverse())];
 }

@@ -1,4 +1,4 @@
-// What a pointer can take hold of: things of the level, and handles of what is selected.
+// Targets of a pointer: elements of the level, and handles of the selection.
 import { boundsOf, contains, cornersOf, jointEnds, jointsOf, parsePath, reshaped, shapesOf, thrusterPlace, thrustersOf, toLocal, toWorld } from "./document.js";
 import { middleOf, selectedShapes, turned } from "./edits.js";
 import { add, distance, hull, isInside, rotate, rounded, roundedPoint, signedArea, sub, wrapped } from "./geometry.js";
@@ -16,7 +16,7 @@ const TURN_PX = 34; // how far the handle that turns is from what it turns
 const ARROW_M = 0.45; // from a thruster to the handle of its direction
 const SMALLEST_M = 0.02;
 
-/** Paths of all things at a point, the one on top first; walls come last.
+/** Paths of all elements at a point, the one on top first; walls come last.
  * @param {Level} document @param {Point} point @param {number} reach m, for joints and thrusters @param {readonly Wall[]} walls */
 export function thingsAt(document, point, reach, walls) {
   /** @type {string[]} */
@@ -44,7 +44,7 @@ function isInWall(wall, point) {
   return [0, 1].every((axis) => Math.abs(point[axis] - wall.position[axis]) <= wall.half_extents[axis]);
 }
 
-/** Of what is selected, if that is one thing or some shapes. @param {Level} document @param {readonly string[]} selection
+/** Handles of the selection, if that is one element or some shapes. @param {Level} document @param {readonly string[]} selection
  * @param {readonly Wall[]} walls @param {number} px m of a pixel @returns {Handle[]} */
 export function handlesOf(document, selection, walls, px) {
   const indices = selectedShapes(document, selection).filter((index) => shapesOf(document).includes(document.shapes[index]));

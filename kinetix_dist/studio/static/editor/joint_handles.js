@@ -1,4 +1,4 @@
-// Handles of joints: limits and rest angle of a hinge, what a weld holds, axis and limits of a slider.
+// Handles of joints: limits and rest angle of a revolute joint, the pose that a weld holds, axis and limits of a slider.
 import { bodyOf, jointEnds, jointsOf, shapesOf } from "./document.js";
 import { add, rotate, rounded, sub, wrapped } from "./geometry.js";
 import { GRID_M, snappedAngle } from "./snap.js";
@@ -15,7 +15,7 @@ const REST_M = 0.22; // from a joint to the handle of its rest angle
 const AXIS_M = 0.55; // from the anchor of a to the handle of a slider's axis, if that is beyond its limits
 
 /** Angle of b against a less that at rest: what limits bound. @param {Level} document @param {any} joint @param {readonly Wall[]} walls */
-export function hingeFacts(document, joint, walls) {
+export function jointFacts(document, joint, walls) {
   const ends = jointEnds(document, joint, walls);
   const shape = (/** @type {string} */ id) => shapesOf(document).find((entry) => entry.id === id);
   if (!ends) return null;
@@ -44,12 +44,12 @@ export function jointHandles(document, joint, index, walls) {
     const axis = { kind: /** @type {const} */ ("axis"), index, at: slider.place(axisReach(joint)) };
     return [axis, ...ends.flatMap((kind, k) => (joint.limits ? [{ kind, index, at: slider.place(joint.limits[k]) }] : []))];
   }
-  const hinge = hingeFacts(document, joint, walls);
-  if (!hinge) return [];
-  const at = (/** @type {number} */ reach, /** @type {number} */ angle) => add(hinge.at, rotate([reach, 0], angle));
-  const rest = { kind: /** @type {const} */ ("rest"), index, at: at(REST_M, hinge.towards - hinge.coordinate) };
+  const facts = jointFacts(document, joint, walls);
+  if (!facts) return [];
+  const at = (/** @type {number} */ reach, /** @type {number} */ angle) => add(facts.at, rotate([reach, 0], angle));
+  const rest = { kind: /** @type {const} */ ("rest"), index, at: at(REST_M, facts.towards - facts.coordinate) };
   if (joint.type !== "revolute" || !joint.limits) return [rest];
-  return [rest, ...ends.map((kind, k) => ({ kind, index, at: at(ARC_M, hinge.towards + joint.limits[k] - hinge.coordinate) }))];
+  return [rest, ...ends.map((kind, k) => ({ kind, index, at: at(ARC_M, facts.towards + joint.limits[k] - facts.coordinate) }))];
 }
 
 /** How far along its axis the handle is that turns it, m. @param {any} joint */
@@ -59,13 +59,13 @@ export const axisReach = (joint) => Math.max(AXIS_M, (joint.limits?.[1] ?? 0) + 
  * @param {Level} document @param {Handle} handle @param {Point} point @param {boolean} snaps @param {readonly Wall[]} walls @returns {Level | null} */
 export function draggedJoint(document, handle, point, snaps, walls) {
   const joint = jointsOf(document)[handle.index];
-  const change = joint.type === "prismatic" ? sliderChange(document, joint, handle, point, snaps, walls) : hingeChange(document, joint, handle, point, snaps, walls);
+  const change = joint.type === "prismatic" ? sliderChange(document, joint, handle, point, snaps, walls) : jointChange(document, joint, handle, point, snaps, walls);
   return change && { ...document, joints: jointsOf(document).with(handle.index, { ...joint, ...change }) };
 }
 
 /** @param {Level} document @param {any} joint @param {Handle} handle @param {Point} point @param {boolean} snaps @param {readonly Wall[]} walls */
-function hingeChange(document, joint, handle, point, snaps, walls) {
-  const facts = hingeFacts(document, joint, walls);
+function jointChange(document, joint, handle, point, snaps, walls) {
+  const facts = jointFacts(document, joint, walls);
   if (!facts) return null;
   const direction = Math.atan2(point[1] - facts.at[1], point[0] - facts.at[0]) - facts.towards;
   if (handle.kind === "rest") {

@@ -6,27 +6,27 @@ import { html, useState } from "../base/html.js";
 export function MakePanel({ editor }) {
   const [generator, setGenerator] = useState(editor.engine.generators[0]);
   const [isBusy, setBusy] = useState(false);
-  const ask = async (/** @type {() => Promise<void>} */ act) => {
+  const attempt = async (/** @type {() => Promise<void>} */ act) => {
     setBusy(true);
     try {
       await act();
     } catch (error) {
-      editor.say(error instanceof Error ? error.message : String(error));
+      editor.notify(error instanceof Error ? error.message : String(error));
     }
     setBusy(false);
   };
   const seed = () => Math.floor(Math.random() * 2 ** 31);
-  const mutate = (/** @type {string | null} */ mutator) => ask(async () => {
+  const mutate = (/** @type {string | null} */ mutator) => attempt(async () => {
     const before = editor.document;
     const answer = await channel.request("mutate", { document: before, mutator, changes: 1, seed: seed() });
-    if (before !== editor.document) return editor.say("the level was changed meanwhile; nothing was mutated");
+    if (before !== editor.document) return editor.notify("the level was changed meanwhile; nothing was mutated");
     if (answer.changed) editor.commit(answer.document, []);
-    editor.say(answer.changed ? `changed: ${mutator ?? "at random"}` : "this mutator finds nothing to change");
+    editor.notify(answer.changed ? `changed: ${mutator ?? "at random"}` : "this mutator finds nothing to change");
   });
-  const generate = () => ask(async () => {
+  const generate = () => attempt(async () => {
     const [document] = (await channel.request("generate", { size: editor.document.size, generator, seed: seed() })).documents;
     editor.open(document);
-    editor.say("a new random level; undo brings back the one before");
+    editor.notify("a new random level; undo brings back the one before");
   });
   return html`<section class="panel" data-panel="make"><header><h3>Random</h3><span class="help">changes of this level, or a new one</span></header>
     <div class="row small ${isBusy ? "off" : ""}"><button onClick=${() => mutate(null)}>any change</button>

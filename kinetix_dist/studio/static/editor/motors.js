@@ -4,7 +4,7 @@ import { keyMark, MOTOR_KEYS } from "../play/play.js";
 /** @typedef {import("./document.js").Level} Level */
 
 /**
- * A wheel is a circle that moves and that a hinge holds to another shape or a wall: of a level file forward, by the key
+ * A wheel is a circle that moves and that a revolute joint holds to another shape or a wall: of a level file forward, by the key
  * of its motor, rolls it to the right where its speed as `b` is negative (docs/level_format.md).
  * @param {Level} document @param {any} joint @returns {"a" | "b" | null} which end is a wheel
  */

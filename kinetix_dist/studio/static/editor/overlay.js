@@ -1,9 +1,9 @@
-// What the editor draws over the world: selection, handles, limits, guides, sketches. Told by shape, not by colour alone.
+// What the editor draws over the world: selection, handles, limits, guides, sketches. They differ by shape, not by colour alone.
 import { LETTER_FROM_M } from "../world/canvas.js";
 import { boundsOf, jointEnds, jointsOf, parsePath, shapesOf, thrusterPlace, thrustersOf, worldCorners } from "./document.js";
 import { distance } from "./geometry.js";
 import { handlesOf } from "./handles.js";
-import { ARC_M, axisReach, hingeFacts, sliderFacts } from "./joint_handles.js";
+import { ARC_M, axisReach, jointFacts, sliderFacts } from "./joint_handles.js";
 
 /**
  * @typedef {import("./geometry.js").Point} Point
@@ -37,7 +37,7 @@ export function drawOverlay(paper, editor) {
   if (editor.cursor) cross(paper, editor.cursor);
 }
 
-/** Roles of shapes that are too small for a letter, beside them. @param {Paper} paper @param {import("./document.js").Level} document */
+/** Roles of shapes that are too small for a letter, next to them. @param {Paper} paper @param {import("./document.js").Level} document */
 function smallRoles({ context, x, y, dot }, document) {
   context.font = `600 ${11 * dot}px sans-serif`;
   context.textAlign = "center";
@@ -95,12 +95,12 @@ function ring({ context, x, y, dot }, at) {
   context.arc(x(at[0]), y(at[1]), 11 * dot, 0, 2 * Math.PI);
 }
 
-/** The range of a joint with a mark where it is: of a hinge an arc about it, of a slider a line along its axis. @param {Paper} paper @param {import("./state.js").Editor} editor @param {string} path @param {string} accent */
+/** The range of a joint with a mark where it is: of a revolute joint an arc about it, of a slider a line along its axis. @param {Paper} paper @param {import("./state.js").Editor} editor @param {string} path @param {string} accent */
 function limitsOf(paper, editor, path, accent) {
   const found = parsePath(path);
   const joint = found?.part === "joints" ? jointsOf(editor.document)[found.index] : null;
   if (joint?.type === "prismatic") return sliderOf(paper, editor, joint, accent);
-  const facts = joint && hingeFacts(editor.document, joint, editor.walls);
+  const facts = joint && jointFacts(editor.document, joint, editor.walls);
   if (!facts) return;
   const atRest = facts.towards - facts.coordinate;
   line(paper, [facts.at, [facts.at[0] + ARC_M * Math.cos(atRest), facts.at[1] + ARC_M * Math.sin(atRest)]], "#d55e00", [2, 3]);

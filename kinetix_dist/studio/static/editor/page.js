@@ -61,7 +61,7 @@ function Workplace({ editor, opened, engine, about }) {
     void start();
   }, [isToPlay, connection]);
   useEffect(() => {
-    if (connection === "connected") checks.ask(editor.settled);
+    if (connection === "connected") checks.request(editor.settled);
   }, [editor.settled, connection]);
   useEffect(() => {
     if (drafted.current === editor.history.present) return undefined;
@@ -94,7 +94,7 @@ function Workplace({ editor, opened, engine, about }) {
       await act();
       setPanel("level");
     } catch (error) {
-      editor.say(error instanceof Error ? error.message : String(error));
+      editor.notify(error instanceof Error ? error.message : String(error));
     }
   };
   const drop = (/** @type {DragEvent} */ event) => {
@@ -102,13 +102,13 @@ function Workplace({ editor, opened, engine, about }) {
     setDropping(false);
     const file = event.dataTransfer?.files[0];
     if (!file) return;
-    if (file.size > MAX_TEXT) return editor.say(`${file.name} is too large for a level: ${(file.size / 1e6).toFixed(1)} MB; a level has a few kB`);
+    if (file.size > MAX_TEXT) return editor.notify(`${file.name} is too large for a level: ${(file.size / 1e6).toFixed(1)} MB; a level has a few kB`);
     void open(async () => openText(editor, await file.text()));
   };
   const link = async () => {
     setQuery({ level: await packed(editor.document), from: null });
     await navigator.clipboard?.writeText(location.href).catch(() => {}); // the address bar has it where the browser refuses
-    editor.say(`the level is in the address now (${location.href.length} characters)${navigator.clipboard ? ", and copied" : ""}`);
+    editor.notify(`the level is in the address now (${location.href.length} characters)${navigator.clipboard ? ", and copied" : ""}`);
   };
   const { facts } = checks.checked;
 
@@ -129,11 +129,11 @@ function Workplace({ editor, opened, engine, about }) {
       <button onClick=${() => downloadPicture(editor)}>PNG</button>
       <button onClick=${link} title="an address with the level in it">link</button>
       <button onClick=${() => open(async () => editor.open(newLevel()))}>new</button>
-      <label class="button">open<input type="file" accept=".json" hidden onChange=${(/** @type {any} */ e) => { const [file] = e.target.files; if (file) void open(async () => (file.size > MAX_TEXT ? editor.say(`${file.name} is too large for a level`) : openText(editor, await file.text()))); e.target.value = ""; }} /></label>
+      <label class="button">open<input type="file" accept=".json" hidden onChange=${(/** @type {any} */ e) => { const [file] = e.target.files; if (file) void open(async () => (file.size > MAX_TEXT ? editor.notify(`${file.name} is too large for a level`) : openText(editor, await file.text()))); e.target.value = ""; }} /></label>
       <span class="soft file">${editor.file ?? (about.files ? "not saved yet" : "")}</span>
     </div>
     ${draft ? html`<div class="notes" role="alert">A level that was not saved is here from ${new Date(draft.at).toLocaleString()}.
-      <button onClick=${() => open(async () => { editor.open(await readLevel(draft.text)); setDraft(null); })}>bring it back</button> <button onClick=${() => { dropDraft(); setDraft(null); }}>forget it</button></div>` : null}
+      <button onClick=${() => open(async () => { editor.open(await readLevel(draft.text)); setDraft(null); })}>bring it back</button> <button onClick=${() => { dropDraft(); setDraft(null); }}>discard it</button></div>` : null}
     ${conflict ? html`<div class="notes" role="alert">${conflict.problem}.
       <button onClick=${() => save(conflict)}>${conflict.hash === null ? "save it anew" : "save over it"}</button>
       ${conflict.hash === null ? null : html`<button onClick=${() => { setConflict(null); void open(() => openFile(editor, conflict.name)); }}>open what is there</button>`}
@@ -171,7 +171,7 @@ async function begin(editor, about) {
       opened.isNamed = !from;
     } else opened.panel = "gallery";
   } catch (error) {
-    editor.say(`the level cannot be opened: ${error instanceof Error ? error.message : error}`);
+    editor.notify(`the level cannot be opened: ${error instanceof Error ? error.message : error}`);
   }
   editor.history.past = []; // there is nothing before the first level
   return opened;

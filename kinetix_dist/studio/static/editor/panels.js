@@ -1,7 +1,7 @@
-// The panels beside the picture: fields of what is selected and of the level, what there is, what is wrong with it.
+// Panels next to the picture: fields of the selection and of the level, elements, problems.
 import { html, useRef, useState } from "../base/html.js";
 import { COMMANDS } from "./commands.js";
-import { PARTS, parsePath, thingAt, withThing } from "./document.js";
+import { PARTS, parsePath, elementAt, withElement } from "./document.js";
 import { renamed } from "./edits.js";
 import { fieldsOf, LEVEL_FIELDS, SHAPE_FIELDS, valueOf, withValue } from "./fields.js";
 import { forwardWords, newMotor } from "./motors.js";
@@ -10,7 +10,7 @@ import { forwardWords, newMotor } from "./motors.js";
 const ALIGNMENTS = COMMANDS.filter((command) => /^(Align|Distribute)/.test(command.label));
 /** @typedef {import("./fields.js").Field} Field */
 
-/** What is typed: kept as text until it is a value; the text of another value takes its place. @param {{ value: any, parse: (text: string) => any, show: (value: any) => string, commit: (value: any) => void, label: string, type?: string, step?: number }} props */
+/** Typed text, held until it is a value; the text of another value takes its place. @param {{ value: any, parse: (text: string) => any, show: (value: any) => string, commit: (value: any) => void, label: string, type?: string, step?: number }} props */
 function Typed({ value, parse, show, commit, label, type = "text", step }) {
   const shown = show(value);
   const [text, setText] = useState(shown);
@@ -37,9 +37,9 @@ function parseNumber(text) {
   return text.trim() === "" || !Number.isFinite(value) ? undefined : value;
 }
 
-/** @param {{ field: Field, thing: any, commit: (value: any) => void }} props */
-function FieldInput({ field, thing, commit }) {
-  const value = valueOf(thing, field);
+/** @param {{ field: Field, element: any, commit: (value: any) => void }} props */
+function FieldInput({ field, element, commit }) {
+  const value = valueOf(element, field);
   const label = field.label ?? field.name.replace("motor.", "motor ");
   const title = `${field.name}${field.unit ? `, ${field.unit}` : ""}${field.missing === undefined ? "" : `; ${JSON.stringify(field.missing)} if left out`}${field.help ? `; ${field.help}` : ""}`;
   let input;
@@ -75,23 +75,23 @@ export function SelectionPanel({ editor }) {
   if (selection.length > 1) return html`<${ManyPanel} editor=${editor} />`;
   const [path] = selection;
   const found = parsePath(path);
-  const thing = thingAt(document, path);
-  if (!found || !thing) return null;
+  const element = elementAt(document, path);
+  if (!found || !element) return null;
   const bodies = [...document.shapes.map((shape) => shape.id), ...(found.part === "joints" ? editor.walls.map((wall) => wall.name) : [])];
   const commit = (/** @type {Field} */ field, /** @type {any} */ value) => {
     if (found.part === "shapes" && field.name === "id") {
-      if (editor.settled.shapes.some((shape) => shape.id === value)) return editor.say(`there is a shape ${value} already`);
+      if (editor.settled.shapes.some((shape) => shape.id === value)) return editor.notify(`there is a shape ${value} already`);
       return editor.commit(renamed(editor.settled, found.index, value));
     }
     // Of the level as it is now: the panel is drawn again a picture later.
-    const now = thingAt(editor.settled, path);
-    if (now !== undefined) editor.commit(withThing(editor.settled, path, withValue(now, field, value)));
+    const now = elementAt(editor.settled, path);
+    if (now !== undefined) editor.commit(withElement(editor.settled, path, withValue(now, field, value)));
   };
-  const change = (/** @type {any} */ next) => editor.commit(withThing(editor.settled, path, next));
+  const change = (/** @type {any} */ next) => editor.commit(withElement(editor.settled, path, next));
   return html`<section class="panel" data-panel="selection"><header><h3>${nameOf(document, path)}</h3><span class="help">${path}</span></header>
-    <div class="fields">${fieldsOf(found.part, thing, bodies).map((field) => html`<${FieldInput} key=${`${path} ${field.name}`} field=${field} thing=${thing} commit=${(/** @type {any} */ value) => commit(field, value)} />`)}</div>
-    ${found.part === "joints" && thing.motor ? html`<p class="soft" data-forward>${forwardWords(document, thing)}</p>` : null}
-    ${found.part === "joints" ? html`<div class="row small"><${JointSwitches} document=${document} joint=${thing} change=${change} /></div>` : null}
+    <div class="fields">${fieldsOf(found.part, element, bodies).map((field) => html`<${FieldInput} key=${`${path} ${field.name}`} field=${field} element=${element} commit=${(/** @type {any} */ value) => commit(field, value)} />`)}</div>
+    ${found.part === "joints" && element.motor ? html`<p class="soft" data-forward>${forwardWords(document, element)}</p>` : null}
+    ${found.part === "joints" ? html`<div class="row small"><${JointSwitches} document=${document} joint=${element} change=${change} /></div>` : null}
   </section>`;
 }
 
@@ -111,12 +111,12 @@ function JointSwitches({ document, joint, change }) {
 function ManyPanel({ editor }) {
   const { document, selection } = editor;
   const shapes = selection.filter((path) => path.startsWith("shapes["));
-  const first = thingAt(document, shapes[0] ?? "");
+  const first = elementAt(document, shapes[0] ?? "");
   const commit = (/** @type {Field} */ field, /** @type {any} */ value) =>
-    editor.commit(shapes.reduce((level, path) => withThing(level, path, withValue(thingAt(level, path), field, value)), editor.settled));
-  return html`<section class="panel" data-panel="selection"><header><h3>${selection.length} things</h3><span class="help">fields are set for all ${shapes.length} shapes</span></header>
+    editor.commit(shapes.reduce((level, path) => withElement(level, path, withValue(elementAt(level, path), field, value)), editor.settled));
+  return html`<section class="panel" data-panel="selection"><header><h3>${selection.length} elements</h3><span class="help">fields are set for all ${shapes.length} shapes</span></header>
     <div class="row small">${ALIGNMENTS.map((command) => html`<button key=${command.label} title=${command.keys[0]} onClick=${() => command.run(editor, command.keys[0])}>${command.label.toLowerCase()}</button>`)}</div>
-    ${first ? html`<div class="fields">${SHAPE_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} thing=${first} commit=${(/** @type {any} */ value) => commit(field, value)} />`)}</div>` : null}
+    ${first ? html`<div class="fields">${SHAPE_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} element=${first} commit=${(/** @type {any} */ value) => commit(field, value)} />`)}</div>` : null}
   </section>`;
 }
 
@@ -124,8 +124,8 @@ function ManyPanel({ editor }) {
 export function LevelPanel({ editor, facts }) {
   const { document } = editor;
   return html`<section class="panel" data-panel="level"><header><h3>Level</h3></header>
-    <div class="fields">${LEVEL_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} thing=${document} commit=${(/** @type {any} */ value) => editor.commit(withValue(editor.settled, field, value))} />`)}</div>
-    ${facts ? html`<p class="soft">room for ${Object.entries(facts.room).map(([kind, count]) => `${count} ${kind}`).join(", ")} more</p>` : null}
+    <div class="fields">${LEVEL_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} element=${document} commit=${(/** @type {any} */ value) => editor.commit(withValue(editor.settled, field, value))} />`)}</div>
+    ${facts ? html`<p class="soft">space for ${Object.entries(facts.free).map(([kind, count]) => `${count} ${kind}`).join(", ")} more</p>` : null}
   </section>`;
 }
 
@@ -135,8 +135,8 @@ export function ThingsPanel({ editor, facts }) {
     ...PARTS.flatMap((part) => (editor.document[part] ?? []).map((/** @type {any} */ _, /** @type {number} */ k) => `${part}[${k}]`)),
     ...editor.walls.map((wall) => `walls.${wall.name}`),
   ];
-  return html`<section class="panel" data-panel="things"><header><h3>Things</h3><span class="help">mass in kg</span></header>
-    <div class="things">${paths.map((path) => html`<button key=${path} aria-pressed=${editor.selection.includes(path)}
+  return html`<section class="panel" data-panel="elements"><header><h3>Elements</h3><span class="help">mass in kg</span></header>
+    <div class="elements">${paths.map((path) => html`<button key=${path} aria-pressed=${editor.selection.includes(path)}
       onClick=${(/** @type {MouseEvent} */ e) => editor.select(e.shiftKey || editor.adds ? [...editor.selection, path] : [path])}>${nameOf(editor.document, path)}${facts?.masses[path] ? html` <i>${facts.masses[path].toPrecision(2)}</i>` : null}</button>`)}</div>
   </section>`;
 }
@@ -144,11 +144,11 @@ export function ThingsPanel({ editor, facts }) {
 /** @param {import("./document.js").Level} document @param {string} path */
 function nameOf(document, path) {
   const found = parsePath(path);
-  const thing = thingAt(document, path);
-  if (!found || !thing) return path;
-  if (found.part === "walls") return `${found.name.replace("_", " ")}${thing.role && thing.role !== "none" ? ` (${thing.role})` : ""}`;
-  if (found.part === "shapes") return `${thing.id ?? path}${thing.role && thing.role !== "none" ? ` (${thing.role})` : ""}`;
-  return found.part === "joints" ? `${thing.type} ${thing.a} - ${thing.b}` : `thruster ${thing.shape}`;
+  const element = elementAt(document, path);
+  if (!found || !element) return path;
+  if (found.part === "walls") return `${found.name.replace("_", " ")}${element.role && element.role !== "none" ? ` (${element.role})` : ""}`;
+  if (found.part === "shapes") return `${element.id ?? path}${element.role && element.role !== "none" ? ` (${element.role})` : ""}`;
+  return found.part === "joints" ? `${element.type} ${element.a} - ${element.b}` : `thruster ${element.shape}`;
 }
 
 /** Complaints of the validator and warnings; each leads to what it is about. @param {{ editor: Editor, checked: import("./checks.js").Checked }} props */
@@ -157,7 +157,7 @@ export function ProblemsPanel({ editor, checked }) {
   const title = checked.error ? "Not checked" : problems.length ? `${checked.numProblems} problem${checked.numProblems > 1 ? "s" : ""}` : warnings.length ? `Valid, ${warnings.length} warning${warnings.length > 1 ? "s" : ""}` : "Valid";
   return html`<section class="panel" data-panel="problems" aria-live="polite" data-checked=${checked.isCurrent}><header><h3 class=${problems.length ? "bad" : ""}>${problems.length ? "✗" : checked.isCurrent && !checked.error ? "✓" : "…"} ${checked.isCurrent ? title : "checking ..."}</h3></header>
     ${checked.error ? html`<p class="missing">${checked.error}</p>` : null}
-    <div class="things column">
+    <div class="elements column">
       ${problems.map((problem, k) => html`<button key=${k} class="problem" onClick=${() => editor.show(problem.path)}><b>${problem.path}</b> ${problem.problem}; ${problem.remedy}</button>`)}
       ${warnings.map((warning, k) => html`<button key=${k} class="warning" onClick=${() => editor.select(warning.paths)}>⚠ ${warning.text}</button>`)}
     </div>

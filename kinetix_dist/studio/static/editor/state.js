@@ -1,5 +1,5 @@
 // What the editor shows and what a person does to it: level, history, selection, tool, view. Pages and tests drive this.
-import { documentText, newLevel, parsePath, thingAt } from "./document.js";
+import { documentText, newLevel, parsePath, elementAt } from "./document.js";
 import { stillThere } from "./edits.js";
 import { History } from "./history.js";
 
@@ -114,7 +114,7 @@ export class Editor {
   #travel(hasMoved) {
     this.endSketch();
     this.selection = stillThere(this.document, this.selection);
-    this.say(hasMoved ? "" : "there is nothing more");
+    this.notify(hasMoved ? "" : "nothing more");
   }
 
   /** @param {string[]} selection */
@@ -128,11 +128,11 @@ export class Editor {
     this.history.cancel();
     this.endSketch();
     this.tool = tool;
-    this.say("");
+    this.notify("");
   }
 
   /** One line below the picture. @param {string} note */
-  say(note) {
+  notify(note) {
     this.note = note;
     this.changed();
   }
@@ -150,14 +150,14 @@ export class Editor {
     return !known || known.hash === null || known.text !== documentText(this.document);
   }
 
-  /** @param {string} path of the validator: leads to the thing that it is about */
+  /** @param {string} path of the validator: leads to the element that it is about */
   show(path) {
     const found = parsePath(path);
     if (!found) return;
-    const thing = found.part === "walls" ? `walls.${found.name}` : `${found.part}[${found.index}]`;
-    if (thingAt(this.document, thing) !== undefined) {
+    const element = found.part === "walls" ? `walls.${found.name}` : `${found.part}[${found.index}]`;
+    if (elementAt(this.document, element) !== undefined) {
       this.tool = "select";
-      this.select([thing]);
+      this.select([element]);
     }
   }
 

@@ -1,5 +1,5 @@
 // Tools: what a pointer that goes down, moves and goes up makes of the level. A gesture is one step of the history.
-import { added, boundsOf, jointEnds, newId, parsePath, shapesOf, thingAt, thrusterPlace, toLocal } from "./document.js";
+import { added, boundsOf, jointEnds, newId, parsePath, shapesOf, elementAt, thrusterPlace, toLocal } from "./document.js";
 import { moved, selectedShapes } from "./edits.js";
 import { distance, hull, rounded, roundedPoint, sub, wrapped } from "./geometry.js";
 import { dragged, handlesOf, isConvex, thingsAt } from "./handles.js";
@@ -80,9 +80,9 @@ function dragHandle(editor, handle, number, start) {
 
 /** Where a joint or a thruster is. @param {Editor} editor @param {string} path @returns {Point | null} */
 function placeOf({ settled, walls }, path) {
-  const thing = thingAt(settled, path);
-  if (path.startsWith("joints")) return jointEnds(settled, thing, walls)?.[0] ?? null;
-  return path.startsWith("thrusters") ? (thrusterPlace(settled, thing)?.at ?? null) : null;
+  const element = elementAt(settled, path);
+  if (path.startsWith("joints")) return jointEnds(settled, element, walls)?.[0] ?? null;
+  return path.startsWith("thrusters") ? (thrusterPlace(settled, element)?.at ?? null) : null;
 }
 
 /** @param {Editor} editor @param {Pointer} start @param {() => void} clicked @returns {Gesture} */
@@ -172,21 +172,21 @@ function clicking(kind, count) {
       up(pointer) {
         const all = [...points, aimed(editor, pointer)];
         const first = all.length > 1 && distance(all[0], all[all.length - 1]) < 1e-6;
-        if (first) return editor.say("this corner is there already");
+        if (first) return editor.notify("this corner is there already");
         if (all.length < count) {
           editor.sketch = { kind: "corners", points: all, to: null };
-          return editor.say(`${count - all.length} more corner${count - all.length > 1 ? "s" : ""}`);
+          return editor.notify(`${count - all.length} more corner${count - all.length > 1 ? "s" : ""}`);
         }
         const corners = hull(all);
         const before = editor.settled;
         if (corners.length < 3 || !isConvex(corners)) {
           editor.cancel();
-          return editor.say("these corners lie on a line; click others");
+          return editor.notify("these corners lie on a line; click others");
         }
         const middle = roundedPoint(/** @type {Point} */ ([0, 1].map((k) => corners.reduce((sum, corner) => sum + corner[k], 0) / corners.length)));
         const shape = { id: newId(before, kind), type: "polygon", vertices: corners.map((corner) => roundedPoint(sub(corner, middle))), position: middle };
         editor.commit(added(before, "shapes", /** @type {any} */ (shape)), [`shapes[${before.shapes.length}]`]);
-        if (corners.length < all.length) editor.say("one corner lies within the others: the shape is their hull");
+        if (corners.length < all.length) editor.notify("one corner lies within the others: the shape is their hull");
       },
     };
   };
@@ -195,7 +195,7 @@ function clicking(kind, count) {
 /** @param {Editor} editor @param {Point} point */
 function bodiesAt(editor, point) {
   const paths = thingsAt(editor.settled, point, 0, editor.walls).filter((path) => /^(shapes|walls)/.test(path));
-  return paths.map((path) => (path.startsWith("walls.") ? path.slice(6) : thingAt(editor.settled, path).id));
+  return paths.map((path) => (path.startsWith("walls.") ? path.slice(6) : elementAt(editor.settled, path).id));
 }
 
 /** Pressed where two shapes overlap it joins these; dragged from one shape to another, these, where it ends.
@@ -216,7 +216,7 @@ function joining(type, { hasMotor = false, more = {} } = {}) {
         const anchor = aimed(editor, pointer);
         if (a === undefined || b === undefined) {
           editor.cancel();
-          return editor.say(isClick ? "a joint needs two shapes that overlap here, or a drag from one shape to another" : "drag from one shape to another");
+          return editor.notify(isClick ? "a joint needs two shapes that overlap here, or a drag from one shape to another" : "drag from one shape to another");
         }
         const before = editor.settled;
         const count = (before.joints ?? []).length;
@@ -232,10 +232,10 @@ function beginThruster(editor, start) {
   const before = editor.settled;
   const id = thingsAt(before, start.at, 0, editor.walls).find((path) => path.startsWith("shapes"));
   if (!id) {
-    editor.say("a thruster is put on a shape");
+    editor.notify("a thruster is put on a shape");
     return null;
   }
-  const shape = thingAt(before, id);
+  const shape = elementAt(before, id);
   const at = aimed(editor, start);
   const path = `thrusters[${(before.thrusters ?? []).length}]`;
   const towards = (/** @type {Pointer} */ pointer) => {

@@ -31,7 +31,7 @@ export function AttemptsPanel({ given, subject, size, engine, run }) {
   const { result } = state ?? {};
   return html`<section class="panel" data-panel="attempts"><header><h3>Learnability</h3><span class="help">${ATTEMPTS} attempts</span></header>
     <div class="row small"><${PolicyChoice} value=${policy} choose=${setPolicy} engine=${engine} people=${false} label="policy of the attempts" />
-      ${state?.progress ? html`<button onClick=${() => channel.say({ type: "cancel", id: request.current })}>cancel</button>` : html`<button onClick=${start}>play ${ATTEMPTS} times</button>`}</div>
+      ${state?.progress ? html`<button onClick=${() => channel.send({ type: "cancel", id: request.current })}>cancel</button>` : html`<button onClick=${start}>play ${ATTEMPTS} times</button>`}</div>
     ${state?.progress ? html`<p class="soft" role="status">${state.progress}</p>` : null}
     ${state?.error ? html`<p class="bad">${state.error}</p>` : null}
     ${result ? html`<p role="status">p ${percent(result.p)} (${result.solved} of ${result.attempts}), 95 % ${percent(result.low)} to ${percent(result.high)} · learnability <b>${result.learnability?.toFixed(3) ?? "-"}</b>

@@ -17,7 +17,7 @@ export function drawPlay(canvas, play, palette, view) {
 function drawKeys(paper, play) {
   const { session, frame } = play;
   if (!session || !frame) return;
-  const told = frame.colours;
+  const colours = frame.colours;
   /** @type {Set<string>} */
   const done = new Set();
   for (const { part, body, points } of session.display.primitives) {
@@ -32,8 +32,8 @@ function drawKeys(paper, play) {
     /** @type {[number, number]} */
     const at = [x + Math.cos(angle) * px - Math.sin(angle) * py, y + Math.sin(angle) * px + Math.cos(angle) * py];
     if (motor?.auto) plate(paper, at, "auto", true);
-    else if (motor) plate(paper, at, MOTOR_KEYS[motor.colour].map(keyMark).join(" "), told[motor.colour] !== 0);
-    else plate(paper, at, keyMark(THRUSTER_KEYS[thruster.colour]), told[4 + thruster.colour] !== 0);
+    else if (motor) plate(paper, at, MOTOR_KEYS[motor.colour].map(keyMark).join(" "), colours[motor.colour] !== 0);
+    else plate(paper, at, keyMark(THRUSTER_KEYS[thruster.colour]), colours[4 + thruster.colour] !== 0);
   }
 }
 

@@ -38,7 +38,7 @@ export function decodeFrame(bytes, sizes) {
   };
 }
 
-/** Colours that something in the level obeys, counted as those of a frame: motors 0 to 3, thrusters 4 and 5.
+/** Colours that drive something in the level, counted as those of a frame: motors 0 to 3, thrusters 4 and 5.
  * @param {import("../base/channel.js").Message} session @returns {number[]} */
 export function boundColours(session) {
   const motors = session.motors.filter((/** @type {any} */ motor) => !motor.auto).map((/** @type {any} */ motor) => motor.colour);
@@ -158,7 +158,7 @@ export class Play {
   }
 
   #sendAction() {
-    if (this.session) channel.say({ type: "play.input", session: this.session.session, seq: ++this.sequence, action: this.action });
+    if (this.session) channel.send({ type: "play.input", session: this.session.session, seq: ++this.sequence, action: this.action });
     this.changed();
   }
 

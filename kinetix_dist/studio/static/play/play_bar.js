@@ -62,7 +62,7 @@ function Pads({ play }) {
   return html`<div class="row pads">
     ${motors.map((colour) => html`<span key=${colour}>motor ${colour} ${[...MOTOR_KEYS[colour]].reverse().map((key) => pad(key, `motor ${colour} ${key === MOTOR_KEYS[colour][0] ? "forward" : "backward"}`))}</span>`)}
     ${thrusters.map((colour) => html`<span key=${`t${colour}`}>thruster ${colour} ${pad(THRUSTER_KEYS[colour], `thruster ${colour}`)}</span>`)}
-    ${bound.length ? null : html`<span class="soft">nothing obeys you here</span>`}
+    ${bound.length ? null : html`<span class="soft">your keys drive nothing here</span>`}
   </div>`;
 }
 
@@ -81,7 +81,7 @@ function Mind({ play }) {
       .filter((/** @type {any} */ part) => part.own === colour),
   }));
   return html`<div class="mind" data-value=${frame.value}><p>value <b>${frame.value.toFixed(3)}</b> <span class="soft">of ${nameOfPolicy(session)}${play.isAtEnd ? ", of the step before the end" : ""}, ${isChoice ? "probability of each choice" : "mean and spread"}:</span></p>
-    ${bound.length ? null : html`<p class="soft">nothing obeys it here</p>`}
+    ${bound.length ? null : html`<p class="soft">the policy drives nothing here</p>`}
     <div class="heads">${groups.map(({ name, parts }) => html`<div key=${name}><span class="soft">${name}</span>
       ${isChoice
         ? parts.map((/** @type {any} */ { own, value, number }, /** @type {number} */ k) => html`<span key=${k} class="chance"><meter min="0" max="1" value=${number}></meter>${nameOfChoice(own, value)} ${percent(number)}</span>`)
@@ -91,7 +91,7 @@ function Mind({ play }) {
 /** @param {any} session */
 const nameOfPolicy = (session) => session.policy.path?.split("/").pop() ?? "the policy";
 
-/** @param {number | null} colour @param {number} value what the choice tells it */
+/** @param {number | null} colour @param {number} value the value that the choice sets */
 function nameOfChoice(colour, value) {
   if (!value) return "off";
   return colour === null || colour >= NUM_MOTOR_COLOURS ? "on" : value > 0 ? "+" : "-";

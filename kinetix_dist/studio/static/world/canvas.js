@@ -97,7 +97,7 @@ function coils(p, poses, start) {
   return [...line, b];
 }
 
-/** Where things of the world are on a canvas. @param {HTMLCanvasElement} canvas @param {number[]} view what is seen, m @returns {Paper} */
+/** Mapping of the world to a canvas. @param {HTMLCanvasElement} canvas @param {number[]} view what is seen, m @returns {Paper} */
 export function paperOf(canvas, view) {
   const scale = Math.min(canvas.width / (view[2] - view[0]), canvas.height / (view[3] - view[1]));
   return {
@@ -111,7 +111,7 @@ export function paperOf(canvas, view) {
 
 /**
  * Fills the canvas with one picture.
- * @param {HTMLCanvasElement} canvas its size in pixels is kept
+ * @param {HTMLCanvasElement} canvas its size in pixels stays
  * @param {Display} display
  * @param {ArrayLike<number>} poses
  * @param {Palette} palette
@@ -160,7 +160,7 @@ function isFixed({ part, fill, outline }, palette) {
   return part[0] === "shape" && outline !== undefined && fill.every((value, k) => Math.abs(value - full[k] * palette.fixed_shade) <= 1);
 }
 
-/** Lines from lower left to upper right over the path of the canvas: what does not move is told by more than its shade.
+/** Lines from lower left to upper right over the path of the canvas: fixed shapes are marked by more than their shade.
  * @param {CanvasRenderingContext2D} context @param {Point[]} points pixels @param {number} reach pixels beyond them @param {number[]} colour */
 function hatched(context, points, reach, colour) {
   const [left, right] = [Math.min, Math.max].map((end, k) => end(...points.map((point) => point[0])) + (k ? reach : -reach));
@@ -190,7 +190,7 @@ function outlined(context, colour, width) {
   context.restore();
 }
 
-/** Roles are told by letters too: G touches B, not R.
+/** Roles have letters too: G touches B, not R.
  * @param {CanvasRenderingContext2D} context @param {Display} display @param {ArrayLike<number>} poses @param {number} start
  * @param {Palette} palette @param {(v: number) => number} x @param {(v: number) => number} y @param {number} scale */
 function drawLetters(context, display, poses, start, palette, x, y, scale) {

@@ -8,7 +8,7 @@ import { add, centroid, rotate, sub, wrapped } from "../editor/geometry.js";
  * @typedef {import("../editor/document.js").Level} Level
  * @typedef {import("./canvas.js").Primitive} Primitive
  * @typedef {{ palette: any, sizes: Record<string, { polygons: number, circles: number }>,
- *   walls: import("../editor/document.js").Wall[], [field: string]: any }} Engine what GET api/engine says
+ *   walls: import("../editor/document.js").Wall[], [field: string]: any }} Engine the response of GET api/engine
  * @typedef {{ display: import("./canvas.js").Display, poses: number[], slots: Map<string, number> }} Picture
  */
 
@@ -38,10 +38,10 @@ export function levelPicture(document, engine) {
  * @param {Level} document @param {Engine} engine
  */
 function bodiesOf(document, engine) {
-  const room = engine.sizes[document.size] ?? Object.values(engine.sizes)[0];
+  const capacity = engine.sizes[document.size] ?? Object.values(engine.sizes)[0];
   const shapes = (Array.isArray(document.shapes) ? document.shapes : []).filter(isDrawable);
   const circles = shapes.filter((shape) => shape.type === "circle").length;
-  const numPolygons = engine.walls.length + Math.max(room.polygons, shapes.length - circles);
+  const numPolygons = engine.walls.length + Math.max(capacity.polygons, shapes.length - circles);
   let polygon = engine.walls.length;
   let circle = numPolygons;
   /** @type {Body[]} */
@@ -70,7 +70,7 @@ function bodiesOf(document, engine) {
       frame: shape,
     });
   }
-  return { list, count: numPolygons + Math.max(room.circles, circles) };
+  return { list, count: numPolygons + Math.max(capacity.circles, circles) };
 }
 
 /** Corners from the one with the smallest polar angle about the centroid on. @param {Point[]} corners @returns {Point[]} */
@@ -151,8 +151,8 @@ function jointPrimitives(document, joint, k, bodies, { palette, walls }) {
     });
   }
   /** @type {Primitive} */
-  const hinge = { kind: "disc", ...facts, points: [a.anchor], radius, fill: palette.hinge, outline: palette.ink };
-  return hasMotor ? [hinge, { kind: "disc", ...facts, points: [a.anchor], radius: radius * palette.motor_share, fill: motor }] : [hinge];
+  const disc = { kind: "disc", ...facts, points: [a.anchor], radius, fill: palette.hinge, outline: palette.ink };
+  return hasMotor ? [disc, { kind: "disc", ...facts, points: [a.anchor], radius: radius * palette.motor_share, fill: motor }] : [disc];
 }
 
 /** @param {any} joint @param {{ anchor: Point }} a @param {{ body: Body, anchor: Point }} b @param {number} axis @param {any} facts @param {any} palette @returns {Primitive} */

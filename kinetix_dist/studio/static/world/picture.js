@@ -6,7 +6,7 @@ import { drawWorld } from "./canvas.js";
 /** @type {Promise<import("./canvas.js").Palette> | null} */
 let palette = null;
 
-/** Colours of all pictures; asked for once, and again after an error. @returns {Promise<import("./canvas.js").Palette>} */
+/** Colours of all pictures; requested once, and again after an error. @returns {Promise<import("./canvas.js").Palette>} */
 export function getPalette() {
   palette ??= get("palette").catch((error) => {
     palette = null;
