@@ -1,6 +1,6 @@
 """Solver settings and the named presets of them. A preset is a point on the accuracy-time curve.
 
-`paper` is the sequential-impulse solver of the Kinetix paper's appendix, kept for comparison; `standard`
+`paper` is the sequential-impulse solver of the Kinetix paper's appendix, for comparison; `standard`
 is soft-step sub-stepping as in Box2D v3 and is the default. Formulas stand in docs/engine_solver.md.
 """
 

@@ -292,7 +292,7 @@ def test_limit_stops_an_arm_without_a_jump():
     assert m.angle[-1, arm] == pytest.approx(-1.0, abs=math.radians(0.5))
 
 
-# Slots, places, cost
+# Slots, positions, cost
 
 
 def test_every_slot_behaves_alike():

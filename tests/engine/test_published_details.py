@@ -182,8 +182,8 @@ def test_clip_keeps_depth() -> None:
     b = SceneBuilder(FOUR)
     b.add_box(width=1, height=1, position=(0, -0.5))
     b.add_polygon(corners)
-    clipped, kept = found(b, "reference_bias"), found(b, "reference_bias", "clip_keeps_depth")
-    for seen, depth in ((clipped, 0.002 + 0.008 * 0.8 / 1.2), (kept, 0.01)):
+    clipped, deep = found(b, "reference_bias"), found(b, "reference_bias", "clip_keeps_depth")
+    for seen, depth in ((clipped, 0.002 + 0.008 * 0.8 / 1.2), (deep, 0.01)):
         close(sorted(seen[2]), [-depth, -0.002])
         close(sorted(seen[1].tolist()), [(-0.3, -0.002), (0.5, -depth)])
 
@@ -263,7 +263,7 @@ def turns(in_contact: list[tuple[int, int]], *details: str, batch_size: int, joi
 
 
 def test_solve_order() -> None:
-    """Pairs in contact have the last places of their kind; neighbours fall into different batches.
+    """Pairs in contact have the last ranks of their kind; neighbours fall into different batches.
 
     Batches of 4: 10 pairs of polygons in 3 batches, deepest points first (0 to 2), other points next (3 to 5); 15 of
     polygon and circle in 4 batches (6 to 9), circle by circle; 3 of circles in batch 10.
@@ -279,7 +279,7 @@ def test_solve_order() -> None:
 
 
 def test_solve_order_counts_overlapping_shapes_of_one_body() -> None:
-    """0 and 3 overlap. Held together they have the last place, although they are not solved; kept apart they do not."""
+    """0 and 3 overlap. Held together they have the last rank, although they are not solved; kept apart they do not."""
     overlapping = [(0, 1), (0, 2), (0, 3)]
     assert turns(overlapping, batch_size=4, joined=True)[(0, 1)][0] == 7 % 3
     assert turns(overlapping, batch_size=4, joined=False)[(0, 1)][0] == 8 % 3
@@ -302,7 +302,7 @@ def test_batches_of_a_turn_are_solved_one_after_another() -> None:
     expected = {
         1: [-0.25, 0.5, -0.25],  # one after the other: 0.5 against -1 closes at 1.5, shared
         3: [0, 0.5, -0.5],  # both at once
-        2: [0.25, 0.25, -0.5],  # places 1 and 2 of 3 fall into batches 1 and 0: the right one first
+        2: [0.25, 0.25, -0.5],  # ranks 1 and 2 of 3 fall into batches 1 and 0: the right one first
     }
     for batch_size, velocity in expected.items():
         one = Engine(balls, settings=preset("paper").replace(substeps=1), backend="xla")

@@ -18,7 +18,7 @@ typedef float real;
 #define while _Pragma("unroll 1") while
 #endif
 
-// a b + c, rounded once on a GPU: said here and not left to the compiler, which fuses other places in every other kernel,
+// a b + c, rounded once on a GPU: said here and not left to the compiler, which fuses other operations in every other kernel,
 // so that kernels give other bits.
 struct Fused {
   static KFN real of(real a, real b, real c) {
