@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     for morphology in args.morphologies:
         size = "l" if morphology == LARGE else "m"
         steps = STEPS_TO_GET_THERE + STEPS_SEEN
-        env = Environment(dataclasses.replace(config.env, size=size, max_steps=steps, effect_groups=0))
+        env = Environment(dataclasses.replace(config.env, size=size, max_steps=steps))
         key = jax.random.key(args.seed)
         levels = jax.device_get(GoalFollowingLevels(SIZES[size], morphology).generate(key, args.levels))
         with user_errors(ValueError, prefix=f"{args.checkpoint}: "):

@@ -34,7 +34,6 @@ from bench.program import exit_code, output_file, parser_of
 from kinetix_dist import prng
 from kinetix_dist.checkpoint import list_checkpoints, select_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.curator.level_buffer import num_in_play
 from kinetix_dist.curator.slice_buffer import IN_USE, recent
 from kinetix_dist.errors import UserError
 from kinetix_dist.evaluation.evaluate import evaluate
@@ -56,9 +55,8 @@ def line_of(entry: dict[str, Any]) -> str:
     training, probe = entry.get("training"), entry.get("probe")
     found, played, chosen, again = "-", "-", "-", "-"
     if training is not None:
-        mark = "*" if training["of_all_episodes"] else ""
-        found = in_words([training["learnability"], training["learnability_error"]]) + mark
-        played = f"{with_interval(training)} of {training['episodes']}{mark}"
+        found = in_words([training["learnability"], training["learnability_error"]])
+        played = f"{with_interval(training)} of {training['episodes']}"
     if probe is not None:
         before, after = probe["before"], probe["after"]
         chosen = f"{before['rate']:.1%}"
@@ -91,8 +89,6 @@ def measured(run: Path, attempts: int) -> dict[str, Any]:
     num_levels = len(arrays["num_solved"])
     solved = solved_of(trained, levels_of(config, select_arrays(arrays, "levels"), num_levels), attempts)
     counted = arrays.get("status", np.full(num_levels, IN_USE)) == IN_USE
-    if config.curriculum.learnable_only:
-        counted = np.arange(num_levels) < num_in_play(arrays["score"], learnable_only=True)
     found: dict[str, Any] = {
         "update": int(trained.checkpoint.path.name),
         "levels": int(counted.sum()),
@@ -121,18 +117,17 @@ def by_their_own_policy(run: Path, attempts: int) -> list[dict[str, Any]]:
         if snapshot.levels is None:
             continue
         trained, arrays = checkpoint_at(path), snapshot.arrays
-        in_play = int(arrays.get("in_play", len(arrays["solved"])))
-        counts = (arrays[name][:in_play].astype(np.int64) for name in ("solved", "finished"))
-        levels = {name: array[:in_play] for name, array in snapshot.levels.items()}
+        num_levels = len(arrays["solved"])
+        counts = (arrays[name].astype(np.int64) for name in ("solved", "finished"))
         chosen_solved, chosen_finished = counts
-        solved = solved_of(trained, levels_of(trained.config, levels, in_play), attempts)
+        solved = solved_of(trained, levels_of(trained.config, snapshot.levels, num_levels), attempts)
         found.append(
             {
                 "refresh": number,
-                "levels": in_play,
+                "levels": num_levels,
                 "claimed": float(plug_in_learnability(chosen_solved, chosen_finished).mean()),
                 "attempts": attempts,
-                "measured": mean_of(solved, np.full(in_play, attempts)),
+                "measured": mean_of(solved, np.full(num_levels, attempts)),
                 "chosen_rate": rate_over_levels(chosen_solved, chosen_finished)["rate"],
                 "measured_rate": list(mean_and_error(solved / attempts)),
             }

@@ -14,6 +14,7 @@ from kinetix_dist.config import (
     RunConfig,
     TrainConfig,
 )
+from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.learner.config import AnnealConfig, PpoConfig
@@ -21,7 +22,6 @@ from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.near_names import did_you_mean
-from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.renamed_settings import RENAMED_RECIPES
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 

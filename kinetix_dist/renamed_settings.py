@@ -31,6 +31,7 @@ RENAMED_VALUES: dict[tuple[str, Any], Any] = {
 
 # Options of commands that are no settings: (command, option before) -> option now, ("sweep", "--places") -> "--slots".
 RENAMED_OPTIONS: dict[tuple[str, str], str] = {
+    ("levels", "--beside"): "--reference",
     ("sweep", "--lanes"): "--slots",
 }
 
@@ -49,6 +50,8 @@ class Removed:
 # Path before -> why it is gone. Stored values that are off are left out.
 REMOVED: dict[str, Removed] = {
     "env.physics.published_details": Removed(why="details of the published package are for its tests", off=([], ())),
+    "curriculum.learnable_only": Removed(why="it gained nothing", off=(False,)),
+    "env.effect_groups": Removed(why="one engine for all worlds is as fast"),
     "rollout.random_start_share": Removed(why="exploring starts gave nothing", off=(0.0,)),
     "rollout.random_start_steps": Removed(why="exploring starts gave nothing"),
     "curriculum.generator.edited_share": Removed(why="half of the levels edited gave nothing", off=(0.0,)),

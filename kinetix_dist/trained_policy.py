@@ -40,8 +40,8 @@ class Trained:
 
 
 def env_config_of(config: TrainConfig, size: str) -> EnvConfig:
-    """Environment of a run for levels of a size. Groups of engines are of use for many worlds only."""
-    return dataclasses.replace(config.env, size=size, effect_groups=0)
+    """Environment of a run for levels of a size."""
+    return dataclasses.replace(config.env, size=size)
 
 
 def checkpoint_at(path: Path) -> Trained:

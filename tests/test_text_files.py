@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from kinetix_dist.cli.main import main
+from kinetix_dist.config.phases import read_phases
 from kinetix_dist.level.sets import data_files, files_of_set
 from kinetix_dist.level.structure import read_document
-from kinetix_dist.phases import read_phases
 from kinetix_dist.studio.server.level_files import LevelFiles
 from kinetix_dist.sweep.design import read_design
 from kinetix_dist.text_files import read_json, read_toml

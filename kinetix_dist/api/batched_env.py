@@ -142,7 +142,7 @@ def draw(env: BatchedEnv, state: BatchState, world: int = 0, *, pixels_per_metre
     """Picture of one world, uint8 [rows, columns, 3]. Green is to touch blue, and not red."""
     if not 0 <= world < env.num_envs:
         raise ValueError(f"world is {world}; there are worlds 0 to {env.num_envs - 1}")
-    position, angle, *_ = env.environment.stepper.bodies(state.levels.packed_scene, state.episode.packed_state)
+    position, angle, *_ = env.environment.engine.bodies(state.episode.packed_state)
     level = jax.tree.map(lambda x: x[int(state.level_number[world])], env.levels)
     pose = SimpleNamespace(position=np.asarray(position[world]), angle=np.asarray(angle[world]))
     return draw_world(level.scene, pose, level.shape_role, pixels_per_metre=pixels_per_metre)

@@ -79,7 +79,7 @@ def load_policy(name: str | Path = "generalist", *, greedy: bool = False) -> Pol
     """
     path = Path(name)
     trained = newest_checkpoint_of(path)[0] if (path / "checkpoints").is_dir() else checkpoint_at(path)
-    config = dataclasses.replace(trained.config.env, effect_groups=0)
+    config = trained.config.env
     env = Environment(config)
     one_level = jax.tree.map(lambda x: jnp.asarray(x)[None], empty_level(config.capacity))
     player = trained.player(env, one_level, greedy=greedy)

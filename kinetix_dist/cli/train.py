@@ -69,8 +69,8 @@ def parse(
         raise UserError(f"{one_line(error)}; see `{prog} --help`") from None
     from jax2d.settings import PRESETS, preset
     from kinetix_dist.config import with_phases
+    from kinetix_dist.config.phases import read_phases
     from kinetix_dist.level.generator_config import GENERATORS, generator
-    from kinetix_dist.phases import read_phases
     from kinetix_dist.recipes import RECIPES, recipe
     from kinetix_dist.registry import import_plugins
 

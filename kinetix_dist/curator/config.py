@@ -7,6 +7,7 @@ import itertools
 
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.size_mixture import check_weights
+from kinetix_dist.setting import ConfigError, check_settings, setting
 
 # Of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`.
 OWN_SECTIONS = ("plr", "accel", "paired", "slices")
@@ -24,22 +25,13 @@ class PlrConfig:
     """
 
     score: str = "max_mc"  # of `REPLAY_SCORES` in kinetix_dist/curator/replay_scores.py
-    prioritisation: str = "rank"  # "rank": (1 / rank)^(1 / temperature); "top_k": the best top_k alike, no other
-    temperature: float = 1.0  # beta; towards 0 only the best level is played
-    top_k: int = 256  # levels
-    staleness: float = 0.3  # rho, share of the draws by how long ago a level was played
+    prioritisation: str = setting("rank", choices=PRIORITISATIONS)  # by rank, or "top_k": the best alike
+    temperature: float = setting(1.0, above=0)  # beta; towards 0 only the best level is played
+    top_k: int = setting(256, minimum=1)  # levels
+    staleness: float = setting(0.3, minimum=0, maximum=1)  # rho, share of the draws by how long ago a level was played
 
     def __post_init__(self) -> None:
-        if self.prioritisation not in PRIORITISATIONS:
-            raise ValueError(
-                f"PlrConfig.prioritisation is {self.prioritisation!r}; choose from {', '.join(PRIORITISATIONS)}"
-            )
-        if not self.temperature > 0:
-            raise ValueError(f"PlrConfig.temperature is {self.temperature}; it must be positive")
-        if self.top_k < 1:
-            raise ValueError(f"PlrConfig.top_k is {self.top_k}; it must be 1 or more")
-        if not 0.0 <= self.staleness <= 1.0:
-            raise ValueError(f"PlrConfig.staleness is {self.staleness}; it must be from 0 to 1")
+        check_settings(self)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,44 +39,31 @@ class AccelConfig:
     """Which new levels are children of levels in the buffer, and how far from them (Parker-Holder et al. 2022)."""
 
     edited_share: float = 0.5  # of the worlds that play new levels; the others, one a group or more, play fresh ones
-    num_changes: int = 3  # random mutators from a level to its child
+    num_changes: int = setting(3, minimum=1)  # random mutators from a level to its child
 
     def __post_init__(self) -> None:
+        check_settings(self)
         if not 0.0 < self.edited_share < 1.0:
-            raise ValueError(
+            raise ConfigError(
                 f"AccelConfig.edited_share is {self.edited_share}; it must be above 0 (for none use name 'robust_plr') "
                 "and below 1: fresh levels fill the buffer first"
             )
-        if self.num_changes < 1:
-            raise ValueError(f"AccelConfig.num_changes is {self.num_changes}; it must be 1 or more")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PairedConfig:
     """How the teacher of PAIRED learns (Dennis et al. 2020); what is not here is as in `ppo`."""
 
-    antagonist_return: str = "mean"  # in the regret: of its episodes on a level the "mean" return, or the best, "max"
-    hidden_size: int = 128  # of the teacher's network
-    hidden_layers: int = 2  # of its actor and of its critic
-    learning_rate: float = 3e-4
-    epochs: int = 8  # each is one gradient step, from all levels of an update
-    clip: float = 0.2
-    entropy_coefficient: float = 0.01
+    antagonist_return: str = setting("mean", choices=ANTAGONIST_RETURNS)  # or "max": of its returns on a level
+    hidden_size: int = setting(128, minimum=1)  # of the teacher's network
+    hidden_layers: int = setting(2, minimum=1)  # of its actor and of its critic
+    learning_rate: float = setting(3e-4, above=0)
+    epochs: int = setting(8, minimum=1)  # each is one gradient step, from all levels of an update
+    clip: float = setting(0.2, above=0)
+    entropy_coefficient: float = setting(0.01, minimum=0)
 
     def __post_init__(self) -> None:
-        if self.antagonist_return not in ANTAGONIST_RETURNS:
-            raise ValueError(
-                f"PairedConfig.antagonist_return is {self.antagonist_return!r}; choose from "
-                f"{', '.join(ANTAGONIST_RETURNS)}"
-            )
-        for name in ("hidden_size", "hidden_layers", "epochs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"PairedConfig.{name} is {getattr(self, name)}; it must be 1 or more")
-        for name in ("learning_rate", "clip"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"PairedConfig.{name} is {getattr(self, name)}; it must be positive")
-        if self.entropy_coefficient < 0:
-            raise ValueError(f"PairedConfig.entropy_coefficient is {self.entropy_coefficient}; it must be 0 or more")
+        check_settings(self)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -137,14 +116,13 @@ class CurriculumConfig:
 
     name: str = "sfl"  # "sfl", "sfl_slices", "plr", "robust_plr", "accel", "paired", "domain_randomization" or "fixed"
     levels: str = ""  # for "fixed": the level set to train on, a name or a path
-    num_candidates: int = 12288  # N, fresh levels scored in a refresh
-    scoring_steps: int = 512  # L, environment steps played on each candidate
-    scoring_batch: int = 4096  # candidates scored at once, bounds memory
-    refresh_every: int = 128  # T, updates between refreshes
-    adopt_after: int = 4  # updates from the request of a refresh to its adoption, while scoring is free
-    buffer_size: int = 1024  # K, levels kept
+    num_candidates: int = setting(12288, minimum=1)  # N, fresh levels scored in a refresh
+    scoring_steps: int = setting(512, minimum=1)  # L, environment steps played on each candidate
+    scoring_batch: int = setting(4096, minimum=1)  # candidates scored at once, bounds memory
+    refresh_every: int = setting(128, minimum=1)  # T, updates between refreshes
+    adopt_after: int = setting(4, minimum=1)  # updates from the request of a refresh to its adoption
+    buffer_size: int = setting(1024, minimum=1)  # K, levels kept
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
-    learnable_only: bool = False  # "sfl": of these, only levels with a score above 0, where there are any
     sizes: tuple[tuple[str, float], ...] = ()  # weights of sizes among levels drawn; (): all are of env.size
     plr: PlrConfig = dataclasses.field(default_factory=PlrConfig)
     accel: AccelConfig = dataclasses.field(default_factory=AccelConfig)
@@ -153,24 +131,20 @@ class CurriculumConfig:
     generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
 
     def __post_init__(self) -> None:
+        check_settings(self)
         check_weights("CurriculumConfig.sizes", self.sizes)
-        for name in ("num_candidates", "scoring_steps", "scoring_batch", "refresh_every", "adopt_after", "buffer_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"CurriculumConfig.{name} is {getattr(self, name)}; it must be 1 or more")
-        if self.learnable_only and self.name != "sfl":
-            raise ValueError(f"CurriculumConfig.learnable_only is for 'sfl' and not for {self.name!r}; leave it out")
         if self.num_candidates % self.scoring_batch:
-            raise ValueError(
+            raise ConfigError(
                 f"CurriculumConfig.num_candidates {self.num_candidates} is not a multiple of scoring_batch "
                 f"{self.scoring_batch}; change one of them"
             )
         if self.adopt_after > self.refresh_every:
-            raise ValueError(
+            raise ConfigError(
                 f"CurriculumConfig.adopt_after {self.adopt_after} is larger than refresh_every {self.refresh_every}: "
-                "a second refresh would be asked for before the first is adopted"
+                "a second refresh would be requested before the first is adopted"
             )
         if not 0.0 < self.buffer_share <= 1.0:
-            raise ValueError(
+            raise ConfigError(
                 f"CurriculumConfig.buffer_share is {self.buffer_share}; it must be above 0 and at most 1 "
                 "(for no buffer use name 'domain_randomization')"
             )

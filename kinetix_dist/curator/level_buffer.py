@@ -111,26 +111,14 @@ def _best_first(
     return order[num_finished[order] >= min_finished]
 
 
-def num_in_play(score: Array, learnable_only: bool) -> Any:
-    """How many levels of a buffer with these scores [K], the first ones, are drawn: all, or those with a score above
-    zero where there are any. An int or [] int32."""
-    size = score.shape[0]
-    if not learnable_only:
-        return size
-    num_learnable = (score > 0).sum()
-    return num_learnable + size * (num_learnable == 0)
-
-
-def draw(key: Array, buffer: LevelBuffer, num_levels: int, *, learnable_only: bool = False) -> tuple[Level, Array]:
-    """`num_levels` of the levels in play, uniformly with replacement, and their places [num_levels]."""
-    index = prng.randint(key, (num_levels,), 0, num_in_play(buffer.score, learnable_only))
+def draw(key: Array, buffer: LevelBuffer, num_levels: int) -> tuple[Level, Array]:
+    """`num_levels` levels, uniformly with replacement, and their slots in the buffer, [num_levels]."""
+    index = prng.randint(key, (num_levels,), 0, buffer.score.shape[0])
     return jax.tree.map(lambda x: x[index], buffer.levels), index
 
 
-def refresh_log(
-    parts: Sequence[Scored], size: int, min_finished: int = 0, *, learnable_only: bool = False
-) -> dict[str, np.ndarray]:
-    """What a refresh_*.npz says of the levels kept and of all candidates, see docs/run_data.md."""
+def refresh_log(parts: Sequence[Scored], size: int, min_finished: int = 0) -> dict[str, np.ndarray]:
+    """Arrays of a refresh_*.npz: the levels of the buffer and counts of all candidates, see docs/run_data.md."""
     buffer = keep_best(parts, size, min_finished)
     order = np.argsort(np.concatenate([part.candidate for part in parts]))
     all_features = np.concatenate([part.features for part in parts])[order]
@@ -140,7 +128,6 @@ def refresh_log(
     }
     return {
         "policy_version": np.int32(buffer.policy_version),
-        "in_play": np.int32(num_in_play(buffer.score, learnable_only)),
         "score": buffer.score,
         "solved": buffer.num_solved,
         "finished": buffer.num_finished,
@@ -153,15 +140,12 @@ def refresh_log(
     }
 
 
-def buffer_metrics(buffer: LevelBuffer, num_updates: int, *, learnable_only: bool = False) -> dict[str, Any]:
-    """What `telemetry.names` calls curriculum/*, of a buffer in use after `num_updates` updates. Means are over the
-    levels in play."""
-    number = num_in_play(buffer.score, learnable_only)
-    in_play = np.arange(buffer.score.shape[0]) < number
+def buffer_metrics(buffer: LevelBuffer, num_updates: int) -> dict[str, Any]:
+    """Metrics curriculum/* of a buffer in use after `num_updates` updates."""
     rates = solve_rate(buffer.num_solved, buffer.num_finished)
     return {
-        "curriculum/learnability": (buffer.score * in_play).sum() / number,
-        "curriculum/solve_rate": (rates * in_play).sum() / number,
+        "curriculum/learnability": buffer.score.mean(),
+        "curriculum/solve_rate": rates.mean(),
         "curriculum/learnable_share": buffer.learnable_share,
         "curriculum/mean_candidate_score": buffer.mean_candidate_score,
         "curriculum/buffer_age": num_updates - buffer.policy_version,

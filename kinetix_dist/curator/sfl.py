@@ -1,10 +1,9 @@
 """Sampling For Learnability: score random levels with the current policy, keep those it solves sometimes.
 
 Every `refresh_every` updates: N fresh candidates, `scoring_steps` environment steps of the policy on each, score
-p(1-p), keep the best K. A share of the worlds plays levels of this buffer (with `learnable_only` those with a score
-above zero), the rest fresh ones. What is kept depends on the key and the parameters alone. Candidates are scored in
-batches of `scoring_batch`, each with a key of its own; batches go in turn to the processes that share a refresh, and
-there in turn to the devices: the buffer is the same to the bit however many these are.
+p(1-p), the best K make the buffer. A share of the worlds plays its levels, the rest fresh ones. The buffer depends on
+the key and the parameters alone: candidates are scored in batches of `scoring_batch`, each with a key of its own;
+batches go in turn to the processes that share a refresh, and there in turn to the devices.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from kinetix_dist.curator.level_buffer import (
     buffer_metrics,
     draw,
     keep_best,
-    num_in_play,
     refresh_log,
     scored,
 )
@@ -108,8 +106,7 @@ class Sfl(Curriculum):
         split = jax.vmap(prng.split)(group_keys)
         parts, sources = [], []
         if num_buffered:
-            only = self.tools.config.learnable_only
-            levels, places = jax.vmap(lambda key: draw(key, state, num_buffered, learnable_only=only))(split[:, 0])
+            levels, places = jax.vmap(lambda key: draw(key, state, num_buffered))(split[:, 0])
             parts.append(levels)
             sources.append(len(self.sources) + places)
         if num_fresh:
@@ -153,20 +150,18 @@ class Sfl(Curriculum):
     def metrics(self, state: LevelBuffer | None, num_updates: int) -> dict[str, Any]:
         if state is None:
             return {}
-        return buffer_metrics(state, num_updates, learnable_only=self.tools.config.learnable_only)
+        return buffer_metrics(state, num_updates)
 
     @classmethod
     def refresh_log(cls, config: CurriculumConfig, parts: Sequence[Scored]) -> dict[str, np.ndarray]:
-        return refresh_log(parts, config.buffer_size, learnable_only=config.learnable_only)
+        return refresh_log(parts, config.buffer_size)
 
     def probe(self, state: LevelBuffer | None, num_levels: int) -> Probe | None:
-        """Of the buffer in use, evenly spread over the ranks of its levels in play; all where it has fewer, some twice
-        where fewer are in play. None before there is one."""
+        """Levels of the buffer in use, evenly spread over their ranks; all where it has fewer. None before it."""
         if state is None or not num_levels:
             return None
-        in_play = int(num_in_play(state.score, self.tools.config.learnable_only))
         num_levels = min(num_levels, len(state.score))
-        index = np.arange(num_levels) * in_play // num_levels
+        index = np.arange(num_levels) * len(state.score) // num_levels
         levels = jax.tree.map(lambda x: np.asarray(x)[index], state.levels)
         return Probe(policy_version=state.policy_version, index=index.astype(np.int32), levels=levels)
 

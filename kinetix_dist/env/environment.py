@@ -8,7 +8,7 @@
 Signatures follow gymnax with levels as data; every array has a leading world axis, and no key is needed since the
 physics is deterministic. One step is
 
-    actions -> controls -> `frame_skip` physics steps (`stepper.py`) -> outcome -> reward -> auto-reset -> observation
+    actions -> controls -> `frame_skip` physics steps -> outcome -> reward -> auto-reset -> observation
 
 A finished episode restarts on the same level in the same step: `reward`, `done` and `info` are of the episode that
 ended, the observation is the first one of the next. All methods work inside jit, scan and shard_map (levels prepared
@@ -17,7 +17,6 @@ inside it, `check_vma=False`) on any device, and are pure.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -29,14 +28,12 @@ from jax2d.engine import Engine
 from jax2d.scene import Array, Capacity, Controls, Touching
 from kinetix_dist.env.action_spaces import ACTION_SPACES, ActionDistribution, ActionSpace
 from kinetix_dist.env.actions import controls_of
-from kinetix_dist.env.autoreset import select_worlds_first
 from kinetix_dist.env.device_memory import check_fits
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS, Moving, Observation
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
 from kinetix_dist.env.reward import Outcome, goal_distance, judge, reward_of, role_masks
-from kinetix_dist.env.stepper import GroupedStepper, Stepper
-from kinetix_dist.level.level import Level
+from kinetix_dist.level.level import Level, select_first
 from kinetix_dist.level.simulation import level_effects
 from kinetix_dist.level.walls import empty_level
 
@@ -44,39 +41,17 @@ from kinetix_dist.level.walls import empty_level
 class Environment:
     """Natively batched environment for the levels of one size. Stateless but for what it compiled."""
 
-    def __init__(
-        self,
-        config: EnvConfig | None = None,
-        *,
-        engine: Engine | None = None,
-        variants: Sequence[Effects] = (),
-    ) -> None:
-        """`engine` replaces the one that the config describes: one made for `effects_of(levels.scene)`, say.
-
-        `variants`: effects of the engines that groups of worlds choose from, the last of them full
-        (`effect_variants.choose_variants`); needed where `config.effect_groups` is not 0, and nowhere else.
-        """
+    def __init__(self, config: EnvConfig | None = None, *, engine: Engine | None = None) -> None:
+        """`engine` replaces the one that the config describes: one made for `effects_of(levels.scene)`, say."""
         self.config = config if config is not None else EnvConfig()
-        capacity, groups = self.config.capacity, self.config.effect_groups
+        capacity = self.config.capacity
         if engine is not None and engine.capacity != capacity:
             raise ValueError(f"engine has {engine.capacity}, but size {self.config.size!r} is {capacity}")
-        if bool(groups) != bool(variants):
-            raise ValueError(
-                f"EnvConfig.effect_groups is {groups} with {len(variants)} variants; give variants "
-                "(effect_variants.choose_variants) for one group or more, and none for 0 groups"
-            )
-        self.variants = tuple(variants)
         self.observation: Observation = OBSERVATIONS[self.config.observation]
         self.action_space: ActionSpace = ACTION_SPACES[self.config.action_space]
         settings = self.config.physics
         effects = level_effects(capacity, settings)
         self.engine = engine if engine is not None else Engine(capacity, settings=settings, effects=effects)
-        self.stepper: Stepper | GroupedStepper = Stepper(self.engine)
-        if groups:
-            if variants[-1] != Effects.full(capacity):
-                raise ValueError("the last variant is not Effects.full(capacity); levels could be refused inside jit")
-            engines = [Engine(capacity, settings=settings, effects=effects) for effects in variants]
-            self.stepper = GroupedStepper(engines, groups)
         self._jit_prepare = jax.jit(self._prepare)
         self._jit_step = jax.jit(self._step)
 
@@ -145,11 +120,11 @@ class Environment:
     def bodies_after(self, prepared: PreparedLevels, env_state: EnvState, controls: Controls) -> dict[str, Array]:
         """Position, angle, velocity and angular velocity, [W, n, ...], that one step leads to, before any reset."""
         packed_state, _ = self._physics(prepared, env_state, controls)
-        bodies = self.stepper.bodies(prepared.packed_scene, packed_state)
+        bodies = self.engine.bodies(packed_state)
         return dict(zip(("position", "angle", "velocity", "angular_velocity"), bodies, strict=True))
 
     def _physics(self, prepared: PreparedLevels, env_state: EnvState, controls: Controls) -> tuple[Any, Touching]:
-        return self.stepper.step(prepared.packed_scene, env_state.packed_state, controls, self.config.frame_skip)
+        return self.engine.step_packed(prepared.packed_scene, env_state.packed_state, controls, self.config.frame_skip)
 
     def check_memory(self, num_worlds: int) -> None:
         """Raises DeviceMemoryError where the device cannot observe so many worlds at once."""
@@ -185,11 +160,11 @@ class Environment:
                 )
 
     def pack(self, levels: Level) -> tuple[Any, Any]:
-        """(packed scene, packed state) at the start of a batch of levels, as `stepper` takes them."""
+        """(packed scene, packed state) at the start of a batch of levels, as the engine takes them."""
         state = self.engine.initial_state(
             levels.scene, levels.position, levels.angle, levels.velocity, levels.angular_velocity
         )
-        return self.stepper.pack(levels.scene, state)
+        return self.engine.pack_scene(levels.scene), self.engine.pack_state(state)
 
     def _prepare(self, levels: Level) -> PreparedLevels:
         packed_scene, packed_state = self.pack(levels)
@@ -261,7 +236,7 @@ class Environment:
         return self._moving(packed_scene, packed_state, untouched, has_stepped=False)
 
     def _moving(self, packed_scene: Any, packed_state: Any, touching: Array, *, has_stepped: bool) -> Moving:
-        position, angle, velocity, angular_velocity = self.stepper.bodies(packed_scene, packed_state)
+        position, angle, velocity, angular_velocity = self.engine.bodies(packed_state)
         return Moving(
             position=position,
             angle=angle,
@@ -281,11 +256,11 @@ class Environment:
         """State and observation: `chosen` in worlds where mask [W], else `other`."""
         (new, new_obs), (old, old_obs) = chosen, other
         return EnvState(
-            packed_state=self.stepper.select(prepared.packed_scene, mask, new.packed_state, old.packed_state),
-            distance=select_worlds_first(mask, new.distance, old.distance),
-            num_steps=select_worlds_first(mask, new.num_steps, old.num_steps),
-            episode_return=select_worlds_first(mask, new.episode_return, old.episode_return),
-        ), select_worlds_first(mask, new_obs, old_obs)
+            packed_state=_select_worlds_last(mask, new.packed_state, old.packed_state),
+            distance=select_first(mask, new.distance, old.distance),
+            num_steps=select_first(mask, new.num_steps, old.num_steps),
+            episode_return=select_first(mask, new.episode_return, old.episode_return),
+        ), select_first(mask, new_obs, old_obs)
 
 
 def _is_finite(moving: Moving) -> Array:
@@ -311,3 +286,8 @@ def _step_info(
         speed_limited=touching.limited,
         missing_effects=touching.missing,
     )
+
+
+def _select_worlds_last(mask: Array, chosen: Any, other: Any) -> Any:
+    """`chosen` in worlds where mask [W], else `other`; leaves [..., W], as the engine packs them."""
+    return jax.tree.map(lambda a, b: jnp.where(mask, a, b), chosen, other)

@@ -23,20 +23,16 @@ RANDOM = "random"  # name of levels that are drawn from a seed
 
 
 class LevelPool:
-    """Prepared levels of an environment without effect groups."""
+    """Prepared levels of an environment."""
 
     def __init__(self, env: Environment, levels: Level) -> None:
         """levels: [N, ...] on every field. Raises ValueError for what the environment does not take."""
-        if env.config.effect_groups:
-            raise ValueError(
-                f"EnvConfig.effect_groups is {env.config.effect_groups}; wrappers play worlds without groups: use 0"
-            )
         self.env = env
         self.num_levels: int = levels.angle.shape[0]
         self._prepared = env.prepare(levels)
 
     def select(self, numbers: Array) -> PreparedLevels:
-        """Prepared levels of numbers [W] int32."""
+        """Prepared levels of these numbers, [W] int32."""
         prepared = self._prepared
         # Packed arrays have worlds last, all others first.
         packed = {

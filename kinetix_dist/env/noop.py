@@ -17,6 +17,6 @@ def noop_solved(env: Environment, levels: Level, num_steps: int = NOOP_STEPS) ->
     """
 
     def step(scene: Any, state: Any, controls: Controls) -> tuple[Any, Touching]:
-        return env.stepper.step(scene, state, controls, env.config.frame_skip)
+        return env.engine.step_packed(scene, state, controls, env.config.frame_skip)
 
     return is_solved_without_actions(levels, env.pack, step, min(num_steps, env.config.max_steps))

@@ -16,8 +16,8 @@ from kinetix_dist.env.reward import RoleMasks
 class PreparedLevels:
     """All that a batch of levels contributes to a step. Only selected from, never changed, by reset and step."""
 
-    packed_scene: Any  # jax2d packed scene, [field, W], or a GroupedScene
-    initial_packed_state: Any  # jax2d packed state, [field, W], or a GroupedState
+    packed_scene: Any  # jax2d packed scene, [field, W]
+    initial_packed_state: Any  # jax2d packed state, [field, W]
     initial_obs: Any  # [W, ...], see `Observation.dynamic`
     initial_distance: Array  # [W] m, of green and blue
     static_obs: Any  # [W, ...], see `Observation.static`
@@ -33,7 +33,7 @@ class PreparedLevels:
 class EnvState:
     """How a batch of episodes stands."""
 
-    packed_state: Any  # jax2d packed state, [field, W], or a GroupedState
+    packed_state: Any  # jax2d packed state, [field, W]
     distance: Array  # [W] m, of green and blue now
     num_steps: Array  # [W] int32, environment steps taken in this episode
     episode_return: Array  # [W] float32, undiscounted sum of rewards of this episode

@@ -65,13 +65,9 @@ def start_from(trained: Trained) -> Start:
 
 
 def like_policy(config: TrainConfig, trained: Trained) -> TrainConfig:
-    """`config` with the network and the environment of a policy, and the modules that its parts come from.
-
-    Groups of engines stay those of `config`: they change no number.
-    """
+    """`config` with the network and the environment of a policy, and the modules that its parts come from."""
     theirs = trained.config
-    env = dataclasses.replace(theirs.env, effect_groups=config.env.effect_groups)
     plugins = tuple(dict.fromkeys((*config.run.plugins, *theirs.run.plugins)))
     return dataclasses.replace(
-        config, env=env, policy=theirs.policy, run=dataclasses.replace(config.run, plugins=plugins)
+        config, env=theirs.env, policy=theirs.policy, run=dataclasses.replace(config.run, plugins=plugins)
     )

@@ -9,71 +9,55 @@ import optax
 
 from jax2d.scene import Array
 from kinetix_dist.learner.state import LearnerState, adam, init_learner_state
+from kinetix_dist.setting import ConfigError, check_settings, setting
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AnnealConfig:
-    """From which step on settings of PPO change, linearly, and by which factor at the end. Factors of 1: not at all.
+    """Factors by which settings of PPO change linearly between two steps. Factors of 1: not at all.
 
     Steps are those of the run, progress/env_steps, learned from or not."""
 
-    start: int = 0  # environment steps of the run
-    end: int = 0  # environment steps of the run, from which on the factors hold; 0: nothing changes
-    learning_rate: float = 1.0
-    clip: float = 1.0
-    entropy_coefficient: float = 1.0
+    start: int = setting(0, minimum=0)  # environment steps of the run
+    end: int = setting(0, minimum=0)  # environment steps of the run, from which on the factors hold; 0: nothing changes
+    learning_rate: float = setting(1.0, above=0)
+    clip: float = setting(1.0, above=0)
+    entropy_coefficient: float = setting(1.0, minimum=0)
 
     def __post_init__(self) -> None:
-        if self.start < 0:
-            raise ValueError(f"AnnealConfig.start is {self.start}; it must be 0 or more")
+        check_settings(self)
         if self.end and self.end <= self.start:
-            raise ValueError(f"AnnealConfig.end is {self.end}; it must be after start, {self.start}, or 0 for none")
-        for name in ("learning_rate", "clip"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"AnnealConfig.{name} is {getattr(self, name)}; the factor must be positive")
-        if self.entropy_coefficient < 0:
-            raise ValueError(f"AnnealConfig.entropy_coefficient is {self.entropy_coefficient}; it must be 0 or more")
+            raise ConfigError(f"AnnealConfig.end is {self.end}; it must be after start, {self.start}, or 0 for none")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PpoConfig:
-    """The defaults are the paper's (256 steps of 2,048 worlds make minibatches of 16,384)."""
+    """Settings of PPO; defaults are the paper's (256 steps of 2,048 worlds make minibatches of 16,384)."""
 
-    discount: float = 0.995
-    trace: float = 0.9  # lambda of GAE
-    epochs: int = 8
-    minibatches: int = 32  # an epoch, over all devices together
-    clip: float = 0.02
+    discount: float = setting(0.995, minimum=0, maximum=1)
+    trace: float = setting(0.9, minimum=0, maximum=1)  # lambda of GAE
+    epochs: int = setting(8, minimum=1)
+    minibatches: int = setting(32, minimum=1)  # an epoch, over all devices together
+    clip: float = setting(0.02, above=0)
     value_clip: bool = True  # by the same amount
-    learning_rate: float = 5e-5
-    adam_eps: float = 1e-5
-    max_grad_norm: float = 0.5
+    learning_rate: float = setting(5e-5, above=0)
+    adam_eps: float = setting(1e-5, above=0)
+    max_grad_norm: float = setting(0.5, above=0)
     value_coefficient: float = 0.5
     entropy_coefficient: float = 0.01
     normalise_advantages: bool = True  # over each minibatch, all devices together
-    virtual_shards: int = 64  # of worlds, for shuffling; no more devices can learn
+    virtual_shards: int = setting(64, minimum=1)  # of worlds, for shuffling; no more devices can learn
     mask_unbound_heads: bool = False  # leave colours that a level does not use out of ratio, clip and entropy
     bootstrap_timeouts: bool = False  # an episode that ends at the time limit is worth as much as the state before
-    average_updates: int = 0  # over how many of them parameters are averaged, for evaluation and scoring; 0: none
-    max_kl: float = 0.0  # mean KL of an update above which the learning rate is lowered for good; 0: it never is
+    average_updates: int = setting(0, minimum=0)  # over which parameters are averaged for evaluation; 0: none
+    max_kl: float = setting(0.0, minimum=0)  # mean KL of an update above which the rate falls for good; 0: never
     anneal: AnnealConfig = dataclasses.field(default_factory=AnnealConfig)
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "minibatches", "virtual_shards"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be 1 or more")
-        for name in ("clip", "learning_rate", "adam_eps", "max_grad_norm"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be positive")
-        for name in ("average_updates", "max_kl"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be 0 or more")
-        for name in ("discount", "trace"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"PpoConfig.{name} is {getattr(self, name)}; it must be from 0 to 1")
+        check_settings(self)
 
     def check_batch(self, *, num_steps: int, num_worlds: int, whole_worlds: bool = False) -> None:
-        """Raises ValueError, with the numbers, if T steps of W worlds (all devices) cannot be divided as asked.
+        """Raises ValueError, with the numbers, if T steps of W worlds (all devices) cannot be divided.
 
         whole_worlds: minibatches are of all steps of some worlds, as for recurrent policies.
         """
@@ -100,5 +84,5 @@ class PpoConfig:
         return adam(self.learning_rate, epsilon=self.adam_eps)
 
     def initial_state(self, params: Any, key: Array) -> LearnerState:
-        """Of a learner that starts with these parameters; key: typed, see `init_learner_state`."""
+        """State of a learner that starts with these parameters; key: typed, see `init_learner_state`."""
         return init_learner_state(params, self.optimizer(), key, has_average=self.average_updates > 0)

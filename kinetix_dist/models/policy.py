@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -26,72 +25,11 @@ from kinetix_dist.models.flat_mlp import FlatMlp
 from kinetix_dist.models.kernels.support import KERNELS
 from kinetix_dist.models.pixel_cnn import SAMPLE_BYTES, PixelCnn
 from kinetix_dist.registry import Registry
+from kinetix_dist.setting import ConfigError, check_settings, setting
 
 RECURRENT = ("none", "gru")
 READ_OUTS = ("pooled", "colour")
 DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PolicyConfig:
-    """The defaults are the paper's transformer: its 786,417 parameters with six action heads, and 384 for sliders."""
-
-    network: str = "transformer"  # of entities; "flat" of a vector; "cnn" of a picture; ...: NETWORKS
-    encoder_size: int = 128  # width of tokens
-    attention_features: int = 16  # of all heads together
-    num_heads: int = 8  # a quarter of them for each attention mask
-    num_layers: int = 2
-    hidden_size: int = 128  # of actor and critic
-    hidden_layers: int = 5  # before the output layer
-    flat_size: int = 512  # encoder of the flat network
-    read_out: str = "pooled"  # or "colour": heads read the joints and thrusters of their colour; transformers alone
-    recurrent: str = "none"  # or "gru": a memory between the embedding and actor and critic
-    memory_size: int = 256  # of it
-    dtype: str = "float32"  # of activations: "float32" or "bfloat16"; parameters and outputs are float32
-    kernels: str = "xla"  # of the layers: "xla", "fused" (Hopper GPUs), or "auto", which takes these where they run
-    max_qk_norm: float = 0.0  # of the weights of a head's queries, and of its keys; 0: no limit; transformers alone
-
-    def __post_init__(self) -> None:
-        if self.network not in NETWORKS:
-            raise ValueError(f"PolicyConfig.network is {self.network!r}; choose one of {', '.join(NETWORKS)}")
-        if self.dtype not in DTYPES:
-            raise ValueError(f"PolicyConfig.dtype is {self.dtype!r}; choose one of {', '.join(DTYPES)}")
-        if self.kernels not in KERNELS:
-            raise ValueError(f"PolicyConfig.kernels is {self.kernels!r}; choose one of {', '.join(KERNELS)}")
-        if self.kernels == "fused" and not NETWORKS[self.network].has_kernels:
-            raise ValueError(
-                f"PolicyConfig.kernels is 'fused', but network {self.network!r} has no kernels; "
-                "set it to 'auto' or 'xla'"
-            )
-        if self.read_out not in READ_OUTS:
-            raise ValueError(f"PolicyConfig.read_out is {self.read_out!r}; choose one of {', '.join(READ_OUTS)}")
-        if self.read_out == "colour" and not NETWORKS[self.network].reads_by_colour:
-            able = [name for name in NETWORKS if NETWORKS[name].reads_by_colour]
-            raise ValueError(
-                f"PolicyConfig.read_out is 'colour', but network {self.network!r} has no tokens to read; "
-                f"set it to 'pooled' or use network {' or '.join(map(repr, able))}"
-            )
-        if self.recurrent not in RECURRENT:
-            raise ValueError(f"PolicyConfig.recurrent is {self.recurrent!r}; choose one of {', '.join(RECURRENT)}")
-        sizes = ("encoder_size", "attention_features", "num_heads", "num_layers", "hidden_size", "flat_size")
-        at_least_one = (*sizes, "memory_size")
-        for name, least in (*((name, 1) for name in at_least_one), ("hidden_layers", 0)):
-            if getattr(self, name) < least:
-                raise ValueError(f"PolicyConfig.{name} is {getattr(self, name)}; it must be {least} or more")
-        if not 0 <= self.max_qk_norm < math.inf:
-            raise ValueError(f"PolicyConfig.max_qk_norm is {self.max_qk_norm}; it must be 0 or a positive number")
-        if self.max_qk_norm and not NETWORKS[self.network].has_attention:
-            raise ValueError(
-                f"PolicyConfig.max_qk_norm is {self.max_qk_norm}, but network {self.network!r} has no attention; "
-                "set it to 0"
-            )
-        if self.num_heads % NUM_MASKS:
-            raise ValueError(f"PolicyConfig.num_heads is {self.num_heads}; it must be a multiple of {NUM_MASKS} masks")
-        if self.attention_features % self.num_heads:
-            raise ValueError(
-                f"PolicyConfig.attention_features is {self.attention_features}; "
-                f"it must be a multiple of num_heads, {self.num_heads}"
-            )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,6 +42,56 @@ class Network:
     has_attention: bool = False  # whether it has `PolicyConfig.max_qk_norm`
     has_kernels: bool = False  # whether it has `PolicyConfig.kernels` "fused"
     sample_bytes: int = 0  # of device memory for a sample of a minibatch, gradients included; 0: too few to count
+
+
+NETWORKS: Registry[Network] = Registry("network")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PolicyConfig:
+    """The defaults are the paper's transformer: its 786,417 parameters with six action heads, and 384 for sliders."""
+
+    network: str = setting("transformer", choices=NETWORKS)  # of entities; "flat" of a vector; "cnn" of a picture
+    encoder_size: int = setting(128, minimum=1)  # width of tokens
+    attention_features: int = setting(16, minimum=1)  # of all heads together
+    num_heads: int = setting(8, minimum=1)  # a quarter of them for each attention mask
+    num_layers: int = setting(2, minimum=1)
+    hidden_size: int = setting(128, minimum=1)  # of actor and critic
+    hidden_layers: int = setting(5, minimum=0)  # before the output layer
+    flat_size: int = setting(512, minimum=1)  # encoder of the flat network
+    read_out: str = setting("pooled", choices=READ_OUTS)  # or "colour": heads read tokens of their colour; transformers
+    recurrent: str = setting("none", choices=RECURRENT)  # or "gru": a memory between the embedding and actor and critic
+    memory_size: int = setting(256, minimum=1)  # of it
+    dtype: str = setting("float32", choices=DTYPES)  # of activations, or "bfloat16"; parameters are float32
+    kernels: str = setting("xla", choices=KERNELS)  # of layers: or "fused" (Hopper GPUs), or "auto": where these run
+    max_qk_norm: float = setting(0.0, minimum=0)  # of weights of a head's queries and keys; 0: no limit; transformers
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        network = NETWORKS[self.network]
+        if self.kernels == "fused" and not network.has_kernels:
+            raise ConfigError(
+                f"PolicyConfig.kernels is 'fused', but network {self.network!r} has no kernels; "
+                "set it to 'auto' or 'xla'"
+            )
+        if self.read_out == "colour" and not network.reads_by_colour:
+            able = [name for name in NETWORKS if NETWORKS[name].reads_by_colour]
+            raise ConfigError(
+                f"PolicyConfig.read_out is 'colour', but network {self.network!r} has no tokens to read; "
+                f"set it to 'pooled' or use network {' or '.join(map(repr, able))}"
+            )
+        if self.max_qk_norm and not network.has_attention:
+            raise ConfigError(
+                f"PolicyConfig.max_qk_norm is {self.max_qk_norm}, but network {self.network!r} has no attention; "
+                "set it to 0"
+            )
+        if self.num_heads % NUM_MASKS:
+            raise ConfigError(f"PolicyConfig.num_heads is {self.num_heads}; it must be a multiple of {NUM_MASKS} masks")
+        if self.attention_features % self.num_heads:
+            raise ConfigError(
+                f"PolicyConfig.attention_features is {self.attention_features}; "
+                f"it must be a multiple of num_heads, {self.num_heads}"
+            )
 
 
 def make_policy(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
@@ -153,7 +141,6 @@ def _cnn(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
     return PixelCnn(**_common(config, head_sizes))
 
 
-NETWORKS: Registry[Network] = Registry("network")
 _ATTENTION = functools.partial(Network, takes=ENTITIES, has_attention=True)
 NETWORKS.register("transformer", _ATTENTION(build=_transformer, reads_by_colour=True, has_kernels=True))
 # Plain residuals for gates: fewer and smaller products, see entity_transformer.py.

@@ -1,7 +1,5 @@
 """What a curriculum proposes: a share from the buffer, the rest fresh, the same however worlds are spread."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,29 +29,20 @@ def test_sfl_takes_its_share_of_every_group_from_the_buffer(buffer):
     np.testing.assert_array_equal(from_it, np.tile([True, True, False, False], (GROUPS, 1)))
 
 
-def test_levels_with_a_score_are_drawn_by_the_same_numbers_with_or_without_the_others(buffer):
-    plain, only = (propose(CurriculumConfig(learnable_only=only), range(GROUPS), buffer) for only in (False, True))
-    # All of this buffer have one. Two programs, which may round the last bits of fresh levels otherwise.
-    jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-6), plain, only)
-
-
 @pytest.fixture(scope="module")
 def mixed_buffer():
     """Two levels of which something is known to be learned, and four that are always solved."""
     return buffer_of(5, [4, 1, 4, 4, 2, 4], 4)
 
 
-@pytest.mark.parametrize(("learnable_only", "in_play"), [(True, 2), (False, 6)])
-def test_sfl_plays_measures_and_probes_the_levels_in_play(mixed_buffer, learnable_only, in_play):
-    config = CurriculumConfig(learnable_only=learnable_only)
+def test_sfl_plays_measures_and_probes_all_levels_of_its_buffer(mixed_buffer):
+    config = CurriculumConfig()
     played = propose(config, range(30), mixed_buffer).position.reshape(30, PER_GROUP, -1)[:, :2].reshape(60, -1)
     places = {int(np.abs(mixed_buffer.levels.position.reshape(6, -1) - one).sum(1).argmin()) for one in played}
-    assert places == set(range(in_play))
+    assert places == set(range(6))
     curriculum = curriculum_of(config, PER_GROUP, capacity=CAPACITY)
-    assert float(curriculum.metrics(mixed_buffer, 3)["curriculum/learnability"]) == pytest.approx(
-        (0.25 + 0.1875) / in_play
-    )
-    assert set(curriculum.probe(mixed_buffer, 6).index.tolist()) == set(range(in_play))
+    assert float(curriculum.metrics(mixed_buffer, 3)["curriculum/learnability"]) == pytest.approx((0.25 + 0.1875) / 6)
+    assert set(curriculum.probe(mixed_buffer, 6).index.tolist()) == set(range(6))
 
 
 def test_domain_randomization_never_repeats_a_level():
@@ -92,7 +81,6 @@ def test_a_share_that_is_no_whole_number_of_worlds_is_refused():
         ({"num_candidates": 10, "scoring_batch": 4}, "not a multiple of scoring_batch"),
         ({"num_candidates": 8, "scoring_batch": 4, "buffer_size": 9}, "larger than num_candidates 8"),
         ({"adopt_after": 200}, "larger than refresh_every 128"),
-        ({"name": "plr", "learnable_only": True}, "learnable_only is for 'sfl' and not for 'plr'; leave it out"),
         ({"buffer_share": 0.0}, "must be above 0"),
     ],
 )

@@ -207,9 +207,9 @@ def _config(num_steps=8, max_steps=8, **curriculum):
             ConfigError,
             r"rollout.num_steps is 8 and env.max_steps 9; raise the one or lower the other$",
         ),
-        (lambda: PairedConfig(antagonist_return="best"), ValueError, r"is 'best'; choose from mean, max$"),
+        (lambda: PairedConfig(antagonist_return="best"), ValueError, r"is 'best'; choose one of mean, max$"),
         (lambda: PairedConfig(epochs=0), ValueError, r"^PairedConfig.epochs is 0; it must be 1 or more$"),
-        (lambda: PairedConfig(learning_rate=0.0), ValueError, r"learning_rate is 0.0; it must be positive$"),
+        (lambda: PairedConfig(learning_rate=0.0), ValueError, r"learning_rate is 0.0; it must be above 0$"),
         (lambda: PairedConfig(entropy_coefficient=-1.0), ValueError, r"-1.0; it must be 0 or more$"),
     ],
 )

@@ -114,8 +114,8 @@ def test_new_levels_of_which_nothing_is_known_take_no_place():
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"prioritisation": "best"}, "'best'; choose from rank, top_k"),
-        ({"temperature": 0.0}, "temperature is 0.0; it must be positive"),
+        ({"prioritisation": "best"}, "'best'; choose one of rank, top_k"),
+        ({"temperature": 0.0}, "temperature is 0.0; it must be above 0"),
         ({"top_k": 0}, "top_k is 0"),
         ({"staleness": 1.5}, "staleness is 1.5; it must be from 0 to 1"),
     ],

@@ -21,14 +21,13 @@ LAYERS = (
     ("studio",),
     ("trained_policy",),
     ("config",),
-    ("phases",),
     ("actors", "learner", "curator", "evaluation"),
     ("messages",),
     ("models",),
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("child_python", "jax_checks", "prng", "program_cache", "registry", "text_files", "user_directories"),
+    ("child_python", "jax_checks", "prng", "program_cache", "registry", "setting", "text_files", "user_directories"),
     ("atomic_files", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from kinetix_dist.config import RunConfig, TrainConfig
-from kinetix_dist.phases import PhaseConfig
+from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.recipes import RECIPES
 from kinetix_dist.telemetry.event_names import EVENTS
 from kinetix_dist.telemetry.names import METRICS, RED

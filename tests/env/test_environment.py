@@ -11,7 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax2d import MissingEffectError
+from jax2d import Engine, MissingEffectError
+from jax2d.effects import effects_of, names_of_bits
+from jax2d.scene import stack_worlds
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.env.noop import noop_solved
 from kinetix_dist.level.generator import generate_levels
@@ -19,7 +21,7 @@ from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import SIZES, Level, Role
 from kinetix_dist.level.simulation import NOOP_STEPS
 from kinetix_dist.level.simulation import noop_solved as noop_solved_of_levels
-from tests.env.worlds import BOX, DISC_1, DISC_2, HALF_BOX_M, RADIUS_M, THRUSTER, batch, small_level
+from tests.env.worlds import BOX, DISC_1, DISC_2, HALF_BOX_M, MOTOR_JOINT, RADIUS_M, THRUSTER, batch, small_level
 from tests.helpers import REPOSITORY, environment_of_cpus
 
 MAX_STEPS = 12
@@ -194,16 +196,16 @@ def test_levels_with_what_the_engine_was_made_without_are_refused(env: Environme
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("size", "xl", "EnvConfig.size is 'xl'; sizes are s, m, l"),
+        ("size", "xl", "EnvConfig.size is 'xl'; choose one of s, m, l"),
         ("action_space", "buttons", "EnvConfig.action_space is 'buttons'"),
         ("frame_skip", 0, "EnvConfig.frame_skip is 0"),
         ("frame_skip", 1.5, "EnvConfig.frame_skip is 1.5; it must be a whole number"),
         ("max_steps", float("nan"), "EnvConfig.max_steps is nan; it must be a whole number"),
-        ("effect_groups", True, "EnvConfig.effect_groups is True; it must be a whole number"),
+        ("max_steps", True, "EnvConfig.max_steps is True; it must be a whole number"),
         ("max_steps", -1, "EnvConfig.max_steps is -1"),
         ("dense_reward_scale", float("nan"), "EnvConfig.dense_reward_scale is nan"),
-        ("failure_penalty", -0.5, "EnvConfig.failure_penalty is -0.5; it must be 0 or more"),
-        ("failure_penalty", 1e39, "EnvConfig.failure_penalty is 1e\\+39; it must be 0 or more, and a float32"),
+        ("failure_penalty", -0.5, "EnvConfig.failure_penalty is -0.5; it must be from 0 to 3.4"),
+        ("failure_penalty", 1e39, "EnvConfig.failure_penalty is 1e\\+39; it must be from 0 to 3.4"),
     ],
 )
 def test_bad_config_values_are_refused(field: str, value: object, message: str) -> None:
@@ -276,3 +278,21 @@ def test_two_devices_give_the_same_bits_as_one() -> None:
         timeout=300,
     )
     assert result.returncode == 0 and "same" in result.stdout, result.stderr[-2000:]
+
+
+LIGHT = small_level(disc_2=(4.0, 4.0), thruster=THRUSTER)
+DRIVEN = small_level(disc_2=(4.0, 4.0), joint=MOTOR_JOINT)
+
+
+def test_an_environment_for_fewer_effects_names_what_a_level_lacks() -> None:
+    scenes = stack_worlds([LIGHT]).scene
+    env = Environment(EnvConfig(size="s"), engine=Engine(SIZES["s"], effects=effects_of(scenes)))
+    with pytest.raises(MissingEffectError, match=r"scene 1 calls for revolute_joints, motors, joint_slots"):
+        env.prepare(batch(LIGHT, DRIVEN))
+
+    def step_once(levels: object) -> jax.Array:  # inside jit nothing can be refused
+        prepared = env.prepare(levels)
+        return env.step(prepared, env.reset(prepared)[0], jnp.zeros((2, 6), jnp.int32))[-1].missing_effects
+
+    missing = jax.jit(step_once)(batch(LIGHT, DRIVEN))
+    assert [list(names_of_bits(int(bits))) for bits in missing] == [[], ["revolute_joints", "motors", "joint_slots"]]

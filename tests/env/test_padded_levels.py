@@ -34,7 +34,7 @@ def played(size):
             state, obs = carry
             outputs, values = policy.apply(params, env.observe(prepared, obs))
             state, obs, reward, done, _ = env.step(prepared, state, action)
-            bodies = env.stepper.bodies(prepared.packed_scene, state.packed_state)
+            bodies = env.engine.bodies(state.packed_state)
             return (state, obs), (bodies, reward, done, outputs, values)
 
         return jax.lax.scan(step, env.reset(prepared), actions)[1]

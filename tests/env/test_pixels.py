@@ -138,7 +138,7 @@ def test_the_environment_gives_pictures_of_where_bodies_are(levels: Level):
     assert obs.nbytes == len(obs) * 7 * 12  # what a rollout stores
     for _ in range(5):
         state, obs, *_ = env.step(prepared, state, env.action_space.sample(jax.random.key(0), len(obs)))
-    position, angle, *_ = env.stepper.bodies(prepared.packed_scene, state.packed_state)
+    position, angle, *_ = env.engine.bodies(state.packed_state)
     seen = np.asarray(env.observe(prepared, obs))
     poses = np.concatenate([position, angle[..., None]], axis=-1)
     for world in range(0, len(obs), 4):

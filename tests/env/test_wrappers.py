@@ -15,9 +15,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import ClipReward, DictInfoToList, RecordEpisodeStatistics
 from gymnax.experimental.rollout import RolloutWrapper
 
-from jax2d.effects import Effects
 from kinetix_dist.env.environment import EnvConfig, Environment
-from kinetix_dist.env.level_pool import LevelPool
 from kinetix_dist.env.wrappers.gymnasium_env import KinetixEnv, KinetixVectorEnv
 from kinetix_dist.env.wrappers.gymnax_env import GymnaxEnv
 from kinetix_dist.level.level import Level
@@ -219,10 +217,3 @@ def test_what_is_not_installed_is_named(monkeypatch):
     monkeypatch.delitem(sys.modules, "kinetix_dist.env.wrappers")
     with pytest.raises(ImportError, match=r"gymnax is not installed.*pip install 'kinetix-dist\[wrappers\]'"):
         importlib.import_module("kinetix_dist.env.wrappers")
-
-
-def test_worlds_in_groups_are_not_wrapped(levels):
-    grouped = EnvConfig(effect_groups=1)
-    env = Environment(grouped, variants=[Effects.full(grouped.capacity)])
-    with pytest.raises(ValueError, match="effect_groups is 1; wrappers play worlds without groups"):
-        LevelPool(env, levels)

@@ -350,8 +350,8 @@ def test_read_by_colour_no_colour_is_another_one(network):
         ("encoder_size", 0, "0; it must be 1 or more"),
         ("num_layers", 0, "0; it must be 1 or more"),
         ("read_out", "entity", "'entity'; choose one of pooled, colour"),
-        ("max_qk_norm", -1.0, "-1.0; it must be 0 or a positive number"),
-        ("max_qk_norm", float("nan"), "nan; it must be 0 or a positive number"),
+        ("max_qk_norm", -1.0, "-1.0; it must be 0 or more"),
+        ("max_qk_norm", float("nan"), "nan; it must be a finite number"),
     ],
 )
 def test_a_bad_configuration_is_refused(field, value, message):

@@ -15,7 +15,7 @@ import pytest
 
 from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint, save_checkpoint
 from kinetix_dist.config import to_dict
-from kinetix_dist.phases import PhaseConfig
+from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.program_cache import compile_seconds, count_compile_seconds
 from kinetix_dist.runtime.driver import refreshes
 from kinetix_dist.runtime.driver.checkpoints import newest_checkpoint

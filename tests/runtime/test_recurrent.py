@@ -13,7 +13,7 @@ import pytest
 
 from kinetix_dist.checkpoint import load_checkpoint
 from kinetix_dist.cli.main import main
-from kinetix_dist.config import TrainConfig, numbers_of
+from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.split import SplitTrainer
@@ -83,24 +83,6 @@ def test_eval_plays_and_records_it(three_updates: Path, tmp_path: Path) -> None:
     assert main(["eval", "--run", str(three_updates), "--levels", KICK, *options]) == 0
     assert json.loads(rates.read_text())["solve_rate"]["trained"]["attempts"] == 2
     assert recording.stat().st_size > 0
-
-
-def test_hashes_of_configurations_without_memory_do_not_know_of_it() -> None:
-    config = tiny_config(num_updates=1)
-    other = dataclasses.replace(config, policy=dataclasses.replace(config.policy, memory_size=8))
-    assert config.hash == other.hash != config_of(1).hash
-
-
-def test_hashes_of_configurations_with_the_heads_of_the_paper_do_not_know_of_others() -> None:
-    config = tiny_config(num_updates=1)
-    other = dataclasses.replace(config, policy=dataclasses.replace(config.policy, read_out="colour"))
-    assert "read_out" not in numbers_of(config)["policy"] and config.hash != other.hash
-
-
-def test_hashes_of_configurations_without_a_limit_of_queries_do_not_know_of_it() -> None:
-    config = tiny_config(num_updates=1)
-    other = dataclasses.replace(config, policy=dataclasses.replace(config.policy, max_qk_norm=4.0))
-    assert "max_qk_norm" not in numbers_of(config)["policy"] and config.hash != other.hash
 
 
 @pytest.mark.slow  # another curriculum: two students and a teacher without memory

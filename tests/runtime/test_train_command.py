@@ -11,23 +11,19 @@ import numpy as np
 import pytest
 
 from jax2d import PRESETS, Settings, preset
-from kinetix_dist.checkpoint import CheckpointError, save_checkpoint
+from kinetix_dist.checkpoint import save_checkpoint
 from kinetix_dist.cli import train
 from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import longer, parse
 from kinetix_dist.config import EvaluationConfig, differences, from_dict, from_dict_for_playing, to_dict
+from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.physics import describe
 from kinetix_dist.level import sets
 from kinetix_dist.level.generator_config import LOCOMOTION_FAMILIES, GeneratorConfig, generator
-from kinetix_dist.phases import PhaseConfig
 from kinetix_dist.recipes import FAMILY_WEIGHTS, recipe
-from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
-from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
-from kinetix_dist.runtime.processes.local import LocalBackend
 from tests.helpers import REPOSITORY, python_path
-from tests.runtime.runs import QuietReporter
 
 
 @pytest.fixture(autouse=True)
@@ -69,7 +65,7 @@ def test_a_value_that_makes_no_sense(capsys):
 
 
 def test_an_unknown_level_size(capsys):
-    assert "sizes are s, m, l" in _refusal(capsys, "--recipe", "tiny", "--env.size", "xl")
+    assert "choose one of s, m, l" in _refusal(capsys, "--recipe", "tiny", "--env.size", "xl")
 
 
 def test_a_run_that_would_never_end(capsys):
@@ -150,13 +146,13 @@ def test_a_damaged_configuration(capsys, tmp_path, text):
 @pytest.mark.parametrize(
     ("field", "value", "says"),
     [
-        ("seed", str(10**30), "must be 0 to 4294967295"),
-        ("seed", "-1", "must be 0 to 4294967295"),
+        ("seed", str(10**30), "must be from 0 to 4294967295"),
+        ("seed", "-1", "must be from 0 to 4294967295"),
         ("heartbeat_seconds", "-1", "must be above 0"),
-        ("heartbeat_seconds", "nan", "must be above 0"),
-        ("stop_seconds", "inf", "must be a number, 0 or more"),
-        ("max_seconds", "nan", "must be a number, 0 or more"),
-        ("gpu_memory_gib", "inf", "must be a number, 0 or more"),
+        ("heartbeat_seconds", "nan", "must be a finite number"),
+        ("stop_seconds", "inf", "must be a finite number"),
+        ("max_seconds", "nan", "must be a finite number"),
+        ("gpu_memory_gib", "inf", "must be a finite number"),
     ],
 )
 def test_numbers_of_a_run_that_make_no_sense(capsys, field, value, says):
@@ -174,7 +170,7 @@ def test_numbers_of_a_run_that_make_no_sense(capsys, field, value, says):
 )
 def test_numbers_that_are_not_finite(capsys, field, value):
     line = _refusal(capsys, "--recipe", "tiny", f"--{field}={value}")
-    assert f"{field} is {value}; it must be a finite number" in line
+    assert f"{field.split('.')[-1]} is {value}; it must be a finite number" in line
 
 
 def test_an_address_of_ray_that_is_none(capsys, tmp_path, monkeypatch):
@@ -191,7 +187,7 @@ def test_a_port_for_metrics_that_is_taken_or_is_none(capsys, tmp_path):
     assert f"run.metrics_port {port} cannot be listened on (Address already in use); choose another" in line
     assert not (tmp_path / "run" / "config.json").exists()
     line = _refusal(capsys, "--recipe", "tiny", "--run.metrics_port", "70000")
-    assert "metrics_port is 70000; it must be 65535 or less" in line
+    assert "metrics_port is 70000; it must be from 0 to 65535" in line
 
 
 def test_an_unknown_level_set(capsys, tmp_path):
@@ -465,37 +461,9 @@ def test_a_run_keeps_its_physics_when_the_preset_changes(tmp_path, monkeypatch):
     assert differences(changed, before) == ["env.physics.substeps 5 instead of 4"]
 
 
-def test_a_run_of_a_version_that_kept_the_name_of_its_preset(capsys, tmp_path):
-    run = _a_run(tmp_path / "run")
-    run.write_json(run.config_path, {"config": _old(to_dict(recipe("tiny")))})
-    run.close()
-    line = _refusal(capsys, "--run", tmp_path / "run", "--resume")
-    assert "names the solver preset 'standard' (env.preset) instead of its numbers" in line
-    assert "start a new run (`kinetix-dist eval` still plays the old policy)" in line
-
-
-def test_a_checkpoint_of_such_a_version_is_not_resumed_but_can_be_played(tmp_path):
-    run = _a_run(tmp_path / "run")
-    config = recipe("tiny")
-    description = {"config": _old(to_dict(config)), "config_hash": "0", "training_seconds": 1.0}
-    save_checkpoint(run.checkpoints, 2, {"a": np.zeros(1)}, description, keep=1)
-    controller = Controller(config, run, Roles(trainer=ColocatedTrainer(config, LocalBackend(), [])), QuietReporter())
-    with pytest.raises(CheckpointError, match=r"00000002 cannot be resumed: .* names the solver preset"):
-        controller.restore(resume=True)
-    run.close()
-    assert from_dict_for_playing(description["config"]) == config
-    assert from_dict_for_playing(to_dict(config)) == config
-
-
 def test_the_pretrained_policy_learned_with_the_physics_that_is_played_with():
     description = json.loads((REPOSITORY / "pretrained" / "generalist" / "checkpoint.json").read_text())
     assert from_dict_for_playing(description["config"]).env.physics == preset("standard")
-
-
-def _old(config):
-    """The same as an earlier version wrote it."""
-    env = {name: value for name, value in config["env"].items() if name != "physics"}
-    return {**config, "env": {**env, "preset": "standard"}}
 
 
 def test_physics_in_words():

@@ -68,7 +68,7 @@ def environment_frames() -> list[tuple[np.ndarray, float, bool, bool]]:
     found = []
     for action in actions():
         state, _, reward, done, info = env.step(prepared, state, action[None])
-        position, angle, *_ = env.stepper.bodies(prepared.packed_scene, state.packed_state)
+        position, angle, *_ = env.engine.bodies(state.packed_state)
         poses = np.concatenate([np.asarray(position)[0], np.asarray(angle)[0][:, None]], axis=-1)
         found.append((poses, float(reward[0]), bool(done[0]), bool(info.solved[0])))
     return found

@@ -134,10 +134,8 @@ class KinetixVectorEnv(VectorEnv):
         """A picture of every world, uint8 [rows, columns, 3]."""
         if self.render_mode is None or self._episode is None:
             return None
-        prepared, state, _ = self._episode
-        position, angle, *_ = jax.tree.map(
-            np.asarray, self.env.stepper.bodies(prepared.packed_scene, state.packed_state)
-        )
+        state = self._episode[1]
+        position, angle, *_ = jax.tree.map(np.asarray, self.env.engine.bodies(state.packed_state))
         pictures = []
         for world, number in enumerate(self.level_numbers):
             level = jax.tree.map(lambda x: x[number], self._levels)  # noqa: B023 (called at once)

@@ -80,7 +80,7 @@ class GymnaxEnv(environment.Environment):
         return self._joined(level, obs), state
 
     def _poses(self, level: PreparedLevels, episode: EnvState) -> tuple[Array, Array]:
-        position, angle, *_ = self.env.stepper.bodies(level.packed_scene, episode.packed_state)
+        position, angle, *_ = self.env.engine.bodies(episode.packed_state)
         return position[0], angle[0]
 
     def step_env(

@@ -183,8 +183,8 @@ def _play(env: Environment, prepared: PreparedLevels, goal: GoalPair, packed_sta
         controls, _ = controls_of(
             env.action_space, step_actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
         )
-        state, touching = env.stepper.step(scene, state, controls, env.config.frame_skip)
-        position, angle, velocity, spin = env.stepper.bodies(scene, state)
+        state, touching = env.engine.step_packed(scene, state, controls, env.config.frame_skip)
+        position, angle, velocity, spin = env.engine.bodies(state)
         numbers = jnp.concatenate([position, velocity, angle[..., None], spin[..., None]], axis=-1)
         outcome = judge(
             touching.during,
@@ -208,7 +208,7 @@ def _play(env: Environment, prepared: PreparedLevels, goal: GoalPair, packed_sta
         jnp.int32(1),
     )
     state, solved_after, is_over, min_distance, min_gap, _ = jax.lax.scan(step, first, actions)[0]
-    position, angle, velocity, _ = env.stepper.bodies(scene, state)
+    position, angle, velocity, _ = env.engine.bodies(state)
     return Played(
         solved_after=solved_after,
         is_over=is_over,

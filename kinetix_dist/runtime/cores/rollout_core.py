@@ -181,7 +181,7 @@ def rollout_core(
             kind=CACHE,
             module=__name__,
             parts=parts,
-            depends_on=(settings, env.variants, groups, division),
+            depends_on=(settings, groups, division),
             at_trace=traced_for,
             custom_calls=CUSTOM_CALLS,
         )

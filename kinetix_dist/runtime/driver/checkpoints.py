@@ -239,7 +239,7 @@ def starting_point(config: TrainConfig) -> Start:
             f"run.start_optimizer: policy.num_layers is {ours.num_layers} and the optimiser of {checkpoint.path} is of "
             f"{theirs.num_layers}; leave it out where layers are added"
         )
-    env = Environment(dataclasses.replace(config.env, effect_groups=0))  # for shapes
+    env = Environment(config.env)  # for shapes
     # The learner adds layers that are missing: it has parameters as they are initialised.
     policy = dataclasses.replace(ours, num_layers=theirs.num_layers) if is_deeper else ours
     try:

@@ -150,7 +150,7 @@ WARNINGS = {
     ),
     "missing_effects": (
         "environment steps lacked an effect that their level calls for",
-        "set env.effect_groups 0, and report it: engines were chosen wrongly",
+        "report it: the engine was made for fewer effects than the run needs",
     ),
     "invalid_actions": (
         "numbers of actions were out of range and acted as off",

@@ -130,7 +130,7 @@ def step(env: Environment, prepared: PreparedLevels, env_state: EnvState, action
 @functools.partial(jax.jit, static_argnums=0)
 def poses(env: Environment, prepared: PreparedLevels, env_state: EnvState) -> Array:
     """[W, n, 3] x, y (m), angle (rad) of every shape."""
-    position, angle, _, _ = env.stepper.bodies(prepared.packed_scene, env_state.packed_state)
+    position, angle, _, _ = env.engine.bodies(env_state.packed_state)
     return jnp.concatenate([position, angle[..., None]], axis=-1)
 
 

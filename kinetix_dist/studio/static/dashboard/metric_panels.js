@@ -2,12 +2,7 @@
 
 /** @typedef {{ title: string, names: string[], help?: string, stacked?: boolean, wide?: boolean }} MetricPanel */
 
-/** Of a run without `train/attempts`. */
-export const ALL_EPISODES = "of an older version: of all episodes that ended, those of short ones more often, so that rates are too high where solved episodes are the shorter ones";
 const ROLES = ["worker", "learner", "rollout", "curator", "evaluator"];
-
-/** What such a run counts so: these, and the same by size. */
-export const OF_EPISODES = ["train/solve_rate", "train/failed_rate", "train/mean_return"];
 
 /** @type {MetricPanel[]} */
 export const PANELS = [
@@ -41,11 +36,9 @@ export const PANELS = [
 /** The panels that a run has data for, and its other metrics. @param {string[]} names */
 export function panelsOf(names) {
   const there = new Set(names);
-  const isOld = !there.has("train/attempts");
   const panels = PANELS.map((panel) => ({
     ...panel,
     names: panel.names.filter((name) => there.has(name)),
-    help: isOld && OF_EPISODES.includes(panel.names[0]) ? ALL_EPISODES : panel.help,
   }));
   const used = new Set(panels.flatMap((panel) => panel.names));
   const others = names.filter((name) => !used.has(name) && !/^(evaluation|progress)\//.test(name));

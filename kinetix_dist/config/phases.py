@@ -13,15 +13,12 @@ from __future__ import annotations
 import bisect
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Generic, Protocol, TypeVar
 
 from kinetix_dist.renamed_settings import RenamedSettingError, refuse_old_options
 from kinetix_dist.text_files import read_json, read_toml
 
-if TYPE_CHECKING:
-    from kinetix_dist.config import TrainConfig
-
-# By field of `PhaseConfig`: what it sets.
+# Field of `PhaseConfig` -> setting that it changes.
 CHANGES = {
     "num_envs": "rollout.num_envs",
     "minibatches": "ppo.minibatches",
@@ -37,7 +34,7 @@ CHANGES = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PhaseConfig:
-    """What is different from a step on. None: as before."""
+    """Settings from a step on. None: as before."""
 
     start: int  # environment steps, as in progress/env_steps
     num_envs: int | None = None
@@ -52,47 +49,67 @@ class PhaseConfig:
 
     @property
     def changed(self) -> dict[str, Any]:
-        """What it sets, by the name of the field in a `TrainConfig`."""
+        """Its settings by their dotted names in a `TrainConfig`."""
         values = {path: getattr(self, name) for name, path in CHANGES.items()}
         return {path: value for path, value in values.items() if value is not None}
 
 
+class _Rollout(Protocol):
+    @property
+    def steps_per_update(self) -> int: ...
+
+
+class PhasedConfig(Protocol):
+    """Part of a `TrainConfig` that phases need; a dataclass."""
+
+    @property
+    def phases(self) -> tuple[PhaseConfig, ...]: ...
+
+    @property
+    def rollout(self) -> _Rollout: ...
+
+    def check_batch(self) -> None: ...
+
+
+Config = TypeVar("Config", bound=PhasedConfig)
+
+
 @dataclasses.dataclass(frozen=True)
-class Phase:
+class Phase(Generic[Config]):
     """A stretch of a run with one configuration."""
 
     number: int  # 0: before the first of `TrainConfig.phases`
     first_update: int
     env_steps: int  # played before it
-    config: TrainConfig  # with everything that has changed until then, and without phases
+    config: Config  # with everything that has changed until then, and without phases
     changed: dict[str, Any]  # by this phase, see `PhaseConfig.changed`
 
     def env_steps_after(self, num_updates: int) -> int:
-        """Since the start of the run; num_updates: likewise, first_update or more."""
+        """Environment steps after so many updates of the run, `first_update` or more."""
         return self.env_steps + (num_updates - self.first_update) * self.config.rollout.steps_per_update
 
 
-class Schedule:
+class Schedule(Generic[Config]):
     """The phases of a run, in order; one that lasts for ever where there are none."""
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: Config) -> None:
         """Raises ValueError for phases that do not rise, that change nothing, or whose settings cannot run."""
         self.phases = [Phase(0, first_update=0, env_steps=0, config=dataclasses.replace(config, phases=()), changed={})]
         for number, phase in enumerate(config.phases, start=1):
             self.phases.append(_following(self.phases[-1], number, phase, config.phases))
         self._first_updates = [phase.first_update for phase in self.phases]
 
-    def at(self, update: int) -> Phase:
+    def at(self, update: int) -> Phase[Config]:
         """The phase of an update (0 is the first one), and of the batch that it learns from."""
         return self.phases[bisect.bisect_right(self._first_updates, update) - 1]
 
-    def beginning(self, update: int) -> Phase | None:
+    def beginning(self, update: int) -> Phase[Config] | None:
         """The phase whose first update this is, if there is one; what a run starts with begins nothing."""
         phase = self.at(update)
         return phase if phase.number and update == phase.first_update else None
 
     def env_steps(self, num_updates: int) -> int:
-        """Played in so many updates."""
+        """Environment steps in so many updates."""
         return self.at(num_updates).env_steps_after(num_updates)
 
 
@@ -124,7 +141,9 @@ def read_phases(path: Path) -> list[dict[str, Any]]:
     return content
 
 
-def _following(before: Phase, number: int, phase: PhaseConfig, phases: tuple[PhaseConfig, ...]) -> Phase:
+def _following(
+    before: Phase[Config], number: int, phase: PhaseConfig, phases: tuple[PhaseConfig, ...]
+) -> Phase[Config]:
     name = f"phase {number}"
     previous = phases[number - 2].start if number > 1 else 0
     if phase.start <= previous:

@@ -1,0 +1,119 @@
+"""Checks between sections of a run's configuration. Each takes the sections that it compares and raises ConfigError."""
+
+from __future__ import annotations
+
+from kinetix_dist.config.sections import RolloutConfig, RunConfig
+from kinetix_dist.curator.config import CurriculumConfig
+from kinetix_dist.curator.curriculum import Curriculum
+from kinetix_dist.env.action_spaces import ACTION_SPACES
+from kinetix_dist.env.env_config import EnvConfig
+from kinetix_dist.env.observations import OBSERVATIONS
+from kinetix_dist.learner.config import PpoConfig
+from kinetix_dist.level.level import SIZES
+from kinetix_dist.level.mechanisms import FAMILIES, fitting_families
+from kinetix_dist.level.size_mixture import sizes_drawn
+from kinetix_dist.models.colour_readout import check_heads
+from kinetix_dist.models.policy import NETWORKS, PolicyConfig
+from kinetix_dist.setting import ConfigError
+
+
+def check_sizes(env: EnvConfig, curriculum: CurriculumConfig) -> None:
+    """Levels fit the arrays of the environment."""
+    order = list(SIZES)
+    too_large = [size for size in sizes_drawn(curriculum.sizes) if order.index(size) > order.index(env.size)]
+    if too_large:
+        raise ConfigError(
+            f"curriculum.sizes has {too_large[-1]!r}, which does not fit env.size {env.size!r}, the size of the "
+            f"arrays; set env.size to {too_large[-1]!r}"
+        )
+
+
+def check_action_space(env: EnvConfig, policy: PolicyConfig, ppo: PpoConfig) -> None:
+    """A policy can be trained for the action space, with the read-out and the masks chosen."""
+    space = ACTION_SPACES[env.action_space]
+    if space.distribution is None:
+        trainable = [name for name in ACTION_SPACES if ACTION_SPACES[name].distribution is not None]
+        raise ConfigError(
+            f"env.action_space is {env.action_space!r}: environments have it, but no policy can be trained for it; "
+            f"use {' or '.join(map(repr, trainable))}"
+        )
+    if ppo.mask_unbound_heads and not space.has_bound_heads:
+        raise ConfigError(
+            f"ppo.mask_unbound_heads is True, but no dimension of {env.action_space!r} actions is of one colour; set "
+            "it to False or use another env.action_space"
+        )
+    if policy.read_out == "colour":
+        check_heads(space.distribution.head_sizes)
+
+
+def check_network(env: EnvConfig, policy: PolicyConfig) -> None:
+    """The network takes what the observation gives."""
+    gives, takes = OBSERVATIONS[env.observation].gives, NETWORKS[policy.network].takes
+    if gives != takes:
+        fitting = [name for name in NETWORKS if NETWORKS[name].takes == gives]
+        advice = f"use policy.network {' or '.join(map(repr, fitting))}" if fitting else "change one of them"
+        raise ConfigError(
+            f"env.observation {env.observation!r} gives {gives}, but policy.network {policy.network!r} takes {takes}; "
+            f"{advice}"
+        )
+
+
+def check_episode_lengths(
+    rollout: RolloutConfig, env: EnvConfig, curriculum: CurriculumConfig, kind: type[Curriculum]
+) -> None:
+    """As many episodes end in an update, and while candidates are scored, as the curriculum needs."""
+    num_episodes = kind.num_episodes(curriculum)
+    if rollout.num_steps < num_episodes * env.max_steps:
+        needs = "the end of an episode" if num_episodes == 1 else f"the ends of {num_episodes} episodes"
+        score = f" with plr.score {curriculum.plr.score!r}" if num_episodes > 1 else ""
+        raise ConfigError(
+            f"curriculum {curriculum.name!r}{score} needs {needs} in every world of an update, but rollout.num_steps "
+            f"is {rollout.num_steps} and env.max_steps {env.max_steps}; raise the one or lower the other"
+        )
+    if kind.scores_by_steps and curriculum.scoring_steps < env.max_steps:
+        raise ConfigError(
+            f"curriculum.scoring_steps is {curriculum.scoring_steps} and env.max_steps {env.max_steps}: of a level "
+            "whose episodes end at the time limit none would end while it is scored, and the buffer would fill with "
+            "what fails early; raise the one or lower the other"
+        )
+
+
+def check_curators(run: RunConfig, curriculum: CurriculumConfig, kind: type[Curriculum]) -> None:
+    """Every curator has a part of the work, and some process scores levels."""
+    if run.num_curators > 1 and not kind.shares_refresh:
+        raise ConfigError(
+            f"run.num_curators is {run.num_curators}, but nothing of curriculum {curriculum.name!r} can be shared by "
+            "several; set it to 1"
+        )
+    if run.num_curators > curriculum.num_batches:
+        raise ConfigError(
+            f"run.num_curators is {run.num_curators}, but candidates are scored in batches of "
+            f"curriculum.scoring_batch {curriculum.scoring_batch}, {curriculum.num_batches} in all: some would have "
+            "none; lower it or scoring_batch"
+        )
+    if kind.refreshes and run.num_curators == 0 and run.placement == "split":
+        raise ConfigError(
+            "run.num_curators is 0, but in placement split no process both learns and plays, so none can score levels "
+            "between updates; set it to 1 or use run.placement colocated"
+        )
+
+
+def check_rollout_actors(run: RunConfig, rollout: RolloutConfig) -> None:
+    """Every rollout actor has a world group."""
+    if run.placement == "split" and run.num_rollout_actors > rollout.num_groups:
+        raise ConfigError(
+            f"{run.num_rollout_actors} rollout actors cannot share {rollout.num_groups} world groups: some would have "
+            "none; lower run.num_rollout_actors or raise rollout.num_groups"
+        )
+
+
+def check_generator(env: EnvConfig, curriculum: CurriculumConfig) -> None:
+    """Every size of levels has room for one of the mechanism families."""
+    generator = curriculum.generator
+    for size in sizes_drawn(curriculum.sizes) or [env.size]:
+        if generator.mechanism_share and not fitting_families(generator.mechanism_families, SIZES[size]):
+            named = ", ".join(generator.mechanism_families) or "()"
+            raise ConfigError(
+                f"curriculum.generator.mechanism_families {named}: levels of size {size!r} have room for none; add one "
+                f"of {', '.join(fitting_families(list(FAMILIES), SIZES[size]))}, or use a larger size"
+            )

@@ -1,0 +1,92 @@
+"""Configurations as plain values: dataclasses to and from the types of JSON and TOML, fields by dotted name."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from kinetix_dist.setting import ConfigError
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """A config as plain JSON types."""
+    return json.loads(json.dumps(dataclasses.asdict(config)))
+
+
+def build(kind: Any, data: Any, where: str = "") -> Any:
+    """A value of a field of type `kind`, a config dataclass say, from types of JSON or TOML. Raises ConfigError for a
+    field that is unknown, missing or of another type; `where` is its name."""
+    if dataclasses.is_dataclass(kind):
+        if not isinstance(data, Mapping):
+            raise ConfigError(f"config field {where or 'top level'} is {data!r}; an object is needed")
+        hints = typing.get_type_hints(kind)
+        names = {field.name for field in dataclasses.fields(kind)}
+        if unknown := sorted(set(data) - names):
+            raise ConfigError(
+                f"config field {_join(where, unknown[0])} is unknown; fields are {', '.join(sorted(names))}"
+            )
+        needed = [
+            field.name
+            for field in dataclasses.fields(kind)
+            if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        ]
+        if missing := [name for name in needed if name not in data]:
+            raise ConfigError(f"config field {_join(where, missing[0])} is missing")
+        return kind(**{name: build(hints[name], value, _join(where, name)) for name, value in data.items()})
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is tuple:
+        if not isinstance(data, list | tuple):
+            raise ConfigError(f"config field {where} is {data!r}; a list is needed")
+        inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else Any
+        return tuple(build(inner, value, where) for value in data)
+    if origin in (typing.Union, types.UnionType):
+        if data is None:
+            return None
+        return build(next(option for option in arguments if option is not types.NoneType), data, where)
+    if kind is float and isinstance(data, int) and not isinstance(data, bool):
+        return float(data)
+    if kind in (int, float, str, bool) and type(data) is not kind:
+        raise ConfigError(f"config field {where} is {data!r}; {kind.__name__} is needed")
+    return data
+
+
+def _join(where: str, name: str) -> str:
+    return f"{where}.{name}" if where else name
+
+
+def flat(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+    """Fields of nested sections by their full names: {"ppo.epochs": 8, ...}."""
+    fields = {}
+    for name, value in data.items():
+        fields |= flat(value, _join(where, name)) if isinstance(value, Mapping) else {_join(where, name): value}
+    return fields
+
+
+def differing(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> list[str]:
+    """Fields of nested dictionaries of plain values that differ, as "ppo.epochs 8 instead of 4"."""
+    left, right = flat(ours), flat(theirs)
+    return in_words({name: (left.get(name), right.get(name)) for name in left | right})
+
+
+def in_words(values: Mapping[str, tuple[Any, Any]]) -> list[str]:
+    return [f"{name} {left!r} instead of {right!r}" for name, (left, right) in sorted(values.items()) if left != right]
+
+
+def check_finite(section: Any, field: str = "") -> None:
+    """Raises ConfigError for a float of a dataclass, or of what is in it, that is not finite."""
+    if isinstance(section, float) and not math.isfinite(section):
+        raise ConfigError(f"{field} is {section}; it must be a finite number")
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(section, tuple | list):
+        items = enumerate(section)
+    elif isinstance(section, Mapping):
+        items = section.items()
+    elif dataclasses.is_dataclass(section):
+        items = [(each.name, getattr(section, each.name)) for each in dataclasses.fields(section)]
+    for name, item in items:
+        check_finite(item, f"{field}.{name}".removeprefix("."))

@@ -1,0 +1,154 @@
+"""Configuration of a run: one frozen dataclass whose sections are the configs of its parts.
+
+Its hash covers what changes the numbers (not: how long, where to, how often it is evaluated or saved). A checkpoint
+carries it and is only resumed by a config of the same hash.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import math
+from typing import Any
+
+from kinetix_dist.config import checks
+from kinetix_dist.config.phases import PhaseConfig, Schedule
+from kinetix_dist.config.plain import check_finite, flat, in_words, to_dict
+from kinetix_dist.config.sections import EvaluationConfig, RecordingConfig, RolloutConfig, RunConfig
+from kinetix_dist.curator.config import OWN_SECTIONS, CurriculumConfig
+from kinetix_dist.curator.curricula import curriculum_class
+from kinetix_dist.curator.curriculum import Curriculum
+from kinetix_dist.env.env_config import EnvConfig
+from kinetix_dist.learner.config import PpoConfig
+from kinetix_dist.models.policy import PolicyConfig
+from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """Everything a training run depends on, section by section."""
+
+    env: EnvConfig = dataclasses.field(default_factory=EnvConfig)
+    policy: PolicyConfig = dataclasses.field(default_factory=PolicyConfig)
+    ppo: PpoConfig = dataclasses.field(default_factory=PpoConfig)
+    curriculum: CurriculumConfig = dataclasses.field(default_factory=CurriculumConfig)
+    rollout: RolloutConfig = dataclasses.field(default_factory=RolloutConfig)
+    evaluation: EvaluationConfig = dataclasses.field(default_factory=EvaluationConfig)
+    recording: RecordingConfig = dataclasses.field(default_factory=RecordingConfig)
+    curriculum_log: CurriculumLogConfig = dataclasses.field(default_factory=CurriculumLogConfig)
+    phases: tuple[PhaseConfig, ...] = ()  # from a step on, other settings; the sections above hold until the first
+    run: RunConfig
+
+    def __post_init__(self) -> None:
+        check_finite(self)
+        env, rollout, curriculum, run = self.env, self.rollout, self.curriculum, self.run
+        checks.check_sizes(env, curriculum)
+        checks.check_action_space(env, self.policy, self.ppo)
+        checks.check_network(env, self.policy)
+        checks.check_episode_lengths(rollout, env, curriculum, self.curriculum_class)
+        checks.check_curators(run, curriculum, self.curriculum_class)
+        checks.check_rollout_actors(run, rollout)
+        if self.phases:
+            self.check_batch()
+            _ = self.schedule  # raises for phases that cannot run
+
+    @property
+    def cut_episodes(self) -> str:
+        """A line about episodes that an update does not play to their end; "": there are none."""
+        num_steps, max_steps = self.rollout.num_steps, self.env.max_steps
+        if num_steps >= max_steps:
+            return ""
+        return (
+            f"rollout.num_steps is {num_steps} and env.max_steps {max_steps}: every update begins its levels anew, so "
+            f"that what comes after step {num_steps} of an episode is never learned from; raise the one or lower the "
+            "other"
+        )
+
+    def check_generator(self) -> None:
+        """Raises ConfigError where a size of levels fits none of the families that the generator is to draw."""
+        checks.check_generator(self.env, self.curriculum)
+
+    def check_batch(self) -> None:
+        """Raises ValueError, with the numbers, where the samples of an update cannot be divided into minibatches."""
+        self.ppo.check_batch(
+            num_steps=self.rollout.num_steps,
+            num_worlds=self.num_trained_envs,
+            whole_worlds=self.policy.recurrent != "none",
+        )
+
+    @functools.cached_property
+    def schedule(self) -> Schedule[TrainConfig]:
+        """The configuration of each update. Raises ValueError, one line, for phases that cannot run."""
+        return Schedule(self)
+
+    @property
+    def has_curator(self) -> bool:
+        """Levels are scored: by curators in the background, or by workers between updates."""
+        return self.curriculum_class.refreshes
+
+    @property
+    def workers_curate(self) -> bool:
+        """Workers score levels, between updates."""
+        return self.has_curator and self.run.num_curators == 0
+
+    @property
+    def evaluates_in_background(self) -> bool:
+        """An evaluator works while training goes on."""
+        return self.run.placement != "local" and (self.evaluation.is_during_training or self.recording.every > 0)
+
+    @property
+    def num_blocks(self) -> int:
+        """Blocks of worlds that can lie on different devices: each of whole groups and whole virtual shards."""
+        return math.gcd(self.rollout.num_groups, self.ppo.virtual_shards)
+
+    def groups_of_part(self, part: int, num_parts: int) -> range:
+        """World groups of a rollout actor; the first ones have one more where they cannot be shared evenly."""
+        least, more = divmod(self.rollout.num_groups, num_parts)
+        first = part * least + min(part, more)
+        return range(first, first + least + (part < more))
+
+    @property
+    def num_trained_envs(self) -> int:
+        """Worlds that the policy learns from, over all devices."""
+        rollout = self.rollout
+        return rollout.num_groups * self.curriculum_class.num_trained(self.curriculum, rollout.worlds_per_group)
+
+    @property
+    def curriculum_class(self) -> type[Curriculum]:
+        """Raises ValueError for a curriculum that is unknown or cannot run with this configuration."""
+        return curriculum_class(self.curriculum, self.rollout.worlds_per_group)
+
+    @property
+    def hash(self) -> str:
+        """16 hexadecimal digits over `numbers_of(self)`."""
+        text = json.dumps(numbers_of(self), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class StoredConfig(TrainConfig):
+    """Configuration of a policy that is only played: sections are not held against each other for training."""
+
+    def __post_init__(self) -> None:
+        check_finite(self)
+
+
+def numbers_of(config: TrainConfig) -> dict[str, Any]:
+    """Settings that the parameters after k updates depend on, as plain values."""
+    sections = to_dict(config)
+    counted = {name: sections[name] for name in ("env", "policy", "ppo", "curriculum", "rollout")}
+    for section in OWN_SECTIONS:
+        if section not in config.curriculum_class.sections:
+            del counted["curriculum"][section]
+    run = {"seed": config.run.seed, "policy_lag": config.run.policy_lag}
+    run |= {"start_from": config.run.start_from, "start_optimizer": config.run.start_optimizer}
+    return counted | {"phases": sections["phases"], "run": run}
+
+
+def differences(ours: TrainConfig, theirs: TrainConfig) -> list[str]:
+    """Fields that change the numbers and differ, as "ppo.epochs 8 instead of 4"."""
+    # A section that one of the curricula leaves out has its value in the whole config.
+    left, right = ({**flat(to_dict(config)), **flat(numbers_of(config))} for config in (ours, theirs))
+    counted = flat(numbers_of(ours)) | flat(numbers_of(theirs))
+    return in_words({name: (left.get(name), right.get(name)) for name in counted})
