@@ -17,13 +17,13 @@ from jax2d.whole_numbers import whole_number
 Solver = Literal["soft_step", "sequential_impulses"]
 
 # What soft_step takes a body to turn by at most, at max_angular_speed.
-MAX_TURN_A_SUBSTEP = 0.5  # rad; contacts are planes, and rotations a series of third order: 0.1 % off there, 7 % at 1
-MAX_TURN_A_STEP = 2.0  # rad; contact points turn by series that are 1 % off there, and 24 % at half a turn
+MAX_TURN_PER_SUBSTEP = 0.5  # rad; contacts are planes, and rotations a series of third order: 0.1 % off there, 7 % at 1
+MAX_TURN_PER_STEP = 2.0  # rad; contact points turn by series that are 1 % off there, and 24 % at half a turn
 
 
 def fastest_spin(dt: float, substeps: int) -> float:
     """rad/s, the most that `max_angular_speed` may be with soft_step."""
-    return min(MAX_TURN_A_SUBSTEP * substeps, MAX_TURN_A_STEP) / dt
+    return min(MAX_TURN_PER_SUBSTEP * substeps, MAX_TURN_PER_STEP) / dt
 
 
 def _is_finite(value: float) -> bool:
@@ -131,8 +131,8 @@ class Settings:
             raise ValueError(
                 f"Settings.max_angular_speed is {self.max_angular_speed:g}: a body could turn by "
                 f"{self.max_angular_speed * self.substep_seconds:.2g} rad a sub-step and "
-                f"{self.max_angular_speed * self.dt:.2g} rad a step, and contacts hold for {MAX_TURN_A_SUBSTEP:g} and "
-                f"{MAX_TURN_A_STEP:g}; lower it to {fastest:.4g}, lower dt or raise substeps"
+                f"{self.max_angular_speed * self.dt:.2g} rad a step, and contacts hold for {MAX_TURN_PER_SUBSTEP:g} and "
+                f"{MAX_TURN_PER_STEP:g}; lower it to {fastest:.4g}, lower dt or raise substeps"
             )
 
     def _check_types(self) -> None:
