@@ -132,7 +132,8 @@ class Settings:
                 f"Settings.max_angular_speed is {self.max_angular_speed:g}: a body could turn by "
                 f"{self.max_angular_speed * self.substep_seconds:.2g} rad a sub-step and "
                 f"{self.max_angular_speed * self.dt:.2g} rad a step, and contacts hold for "
-                f"{MAX_TURN_PER_SUBSTEP:g} and {MAX_TURN_PER_STEP:g}; lower it to {fastest:.4g}, lower dt or raise substeps"
+                f"{MAX_TURN_PER_SUBSTEP:g} and {MAX_TURN_PER_STEP:g}; lower it to {fastest:.4g}, "
+                "lower dt or raise substeps"
             )
 
     def _check_types(self) -> None:
