@@ -118,7 +118,7 @@ def points_of(faces: Faces, rules: Rules) -> Points:
         point=jnp.where(beside, corners.point, clipped.point),
         separation=jnp.where(beside, corners.separation, clipped.separation),
         feature=jnp.where(beside, corners.feature, clipped.feature),
-        exists=jnp.where(beside, jnp.array([True, False]), clipped.exists),
+        exists=jnp.where(beside, jnp.array([True, False]), True),
     )
 
 
