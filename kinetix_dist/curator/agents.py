@@ -1,4 +1,4 @@
-"""What learns beside the policy of a run, as curricula see it: another student, a teacher. They learn by the PPO of the
+"""Agents that learn next to the policy of a run: another student, a teacher. They learn by the PPO of the
 run, on its devices; their states are part of the state of the curriculum.
 """
 
@@ -28,7 +28,7 @@ class Agent(Protocol):
 
 
 class Agents(Protocol):
-    """What they are made from."""
+    """Factory of agents, with the settings of the run."""
 
     def student(self) -> Agent:
         """One with the network, the observation and the PPO settings of the run's policy, and parameters of its own."""
@@ -39,4 +39,4 @@ class Agents(Protocol):
         of the run."""
 
     def static_input(self, levels: Level) -> StaticInput:
-        """What levels [W, ...] fix of what a student learns from."""
+        """Static part of a student's input on levels [W, ...]."""

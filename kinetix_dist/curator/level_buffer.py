@@ -36,7 +36,7 @@ class LevelBuffer:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Scored:
-    """What one process scored of the candidates of a refresh: the counts of all, the levels of those it would keep."""
+    """Candidates of a refresh that one process scored: counts of all, levels of the best."""
 
     candidate: Array  # [n] int32, number of each among the candidates of the refresh
     num_solved: Array  # [n] int32
@@ -58,16 +58,16 @@ def scored(
     policy_version: int,
     min_finished: int = 0,
 ) -> Scored:
-    """Of n candidates, for a buffer of `size`. pick: the levels of some of them, by their places in `candidate`.
+    """Counts and best levels of n candidates, for a buffer of `size`. pick: levels of some, by index in `candidate`.
     min_finished: episodes that a candidate needs to be kept."""
-    places = _best_first(candidate, num_solved, num_finished, min_finished)[:size]
+    slots = _best_first(candidate, num_solved, num_finished, min_finished)[:size]
     return Scored(
         candidate=np.asarray(candidate, np.int32),
         num_solved=np.asarray(num_solved, np.int32),
         num_finished=np.asarray(num_finished, np.int32),
         features=features,
-        best=np.asarray(candidate, np.int32)[places],
-        levels=jax.device_get(pick(places)),
+        best=np.asarray(candidate, np.int32)[slots],
+        levels=jax.device_get(pick(slots)),
         policy_version=np.int32(policy_version),
     )
 
@@ -89,10 +89,10 @@ def keep_best(parts: Sequence[Scored], size: int, min_finished: int = 0) -> Leve
     candidate, num_solved, num_finished = candidate[order], num_solved[order], num_finished[order]
     score = learnability(num_solved.astype(np.float32), num_finished.astype(np.float32))
     kept = _best_first(candidate, num_solved, num_finished, min_finished)[:size]
-    place_of = {number: place for place, number in enumerate(best.tolist())}  # among the levels that were sent
-    places = [place_of[number] for number in candidate[kept].tolist()]
+    slot_of = {number: slot for slot, number in enumerate(best.tolist())}  # among the levels that were sent
+    slots = [slot_of[number] for number in candidate[kept].tolist()]
     return LevelBuffer(
-        levels=jax.tree.map(lambda *xs: np.concatenate(xs)[places], *(part.levels for part in parts)),
+        levels=jax.tree.map(lambda *xs: np.concatenate(xs)[slots], *(part.levels for part in parts)),
         candidate=candidate[kept],
         score=score[kept],
         num_solved=num_solved[kept],

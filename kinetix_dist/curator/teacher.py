@@ -50,7 +50,7 @@ class LevelBuilder:
         self.policy = TeacherPolicy(config.hidden_size, config.hidden_layers, self.distribution.head_sizes)
 
     def first_obs(self) -> TeacherObs:
-        """Of one level, before anything is built; works in `jax.eval_shape`."""
+        """Observation of one level before anything is built; works in `jax.eval_shape`."""
         return self._observe(self._begin(1), jnp.int32(0), jnp.zeros((1, NUM_NOISE), jnp.float32))
 
     def build(self, params: Any, keys: Array) -> tuple[Level, Trajectory]:

@@ -41,8 +41,8 @@ def normalise(x: Array) -> Array:
 
 
 @jax.custom_vjp
-def beside_norm(x: Array) -> tuple[Array, Array]:
-    """`x` and `normalise(x)`, for a stream that goes on beside its norm: one loop adds up the gradients of both."""
+def norm_branch(x: Array) -> tuple[Array, Array]:
+    """`x` and `normalise(x)`, for the stream and its branch: one loop adds up the gradients of both."""
     return x, normalise(x)
 
 
@@ -87,4 +87,4 @@ def _as(like: Array, rows: Array) -> Array:
 
 
 normalise.defvjp(_normalise_forward, _normalise_backward)
-beside_norm.defvjp(_beside_norm_forward, _beside_norm_backward)
+norm_branch.defvjp(_beside_norm_forward, _beside_norm_backward)

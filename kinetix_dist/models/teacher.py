@@ -23,7 +23,7 @@ NUM_NOISE = 8  # random numbers of a level that its teacher sees from the start,
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TeacherObs:
-    """What the teacher sees before a step."""
+    """Observation of the teacher before a step."""
 
     features: Array  # [B, features] float32
     allowed: tuple[Array, ...]  # [B, choices] bool of each head

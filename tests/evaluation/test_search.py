@@ -59,7 +59,7 @@ def test_a_level_out_of_reach_is_not_solved_and_all_methods_say_how_near_they_ca
 
 
 def test_how_near_green_came_is_the_distance_of_the_surfaces(env: Environment) -> None:
-    """Of a disc and the corner of a box that is as high as the middle of the disc."""
+    """Distance of a disc and the corner of a box that is as high as the middle of the disc."""
     document = {
         "format": "kinetix-dist-level", "version": 1, "name": "near", "size": "s", "gravity": [0.0, 0.0],
         "shapes": [

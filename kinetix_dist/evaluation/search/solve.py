@@ -44,7 +44,7 @@ SHARES = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Solved:
-    """What came of a search: a proof, or why there is none."""
+    """Result of a search: a proof, or why there is none."""
 
     proof: Proof | None
     tried: tuple[str, ...]  # a line for each method, in the order tried

@@ -39,7 +39,7 @@ _REGISTERS_OF_A_SUM, _REGISTERS_OF_LOADING = 160, 32
 def gate_weight_gradients(
     x: Array, y: Array, rx: Array, grad_rz: Array, grad_h: Array, *, interpret: bool = False
 ) -> tuple[Array, Array, Array]:
-    """Of kernel_y [128, 384], kernel_x [128, 256] and kernel_h [128, 128], float32. Rows are a multiple of 64."""
+    """Gradients of kernel_y [128, 384], kernel_x [128, 256] and kernel_h [128, 128], float32; rows: 64 n."""
 
     one, three = (plgpu.SMEM((STAGES, *sums, ROWS, WIDTH), jnp.bfloat16, transforms=SWIZZLED) for sums in ((), (SUMS,)))
     kernel = call(
