@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -47,27 +47,36 @@ class Scored:
     policy_version: Array  # [] int32, that scored them
 
 
+class Candidates(NamedTuple):
+    """Candidates that were played, as numpy."""
+
+    number: np.ndarray  # [n] among the candidates of the refresh
+    num_solved: np.ndarray  # [n]
+    num_finished: np.ndarray  # [n]
+    features: np.ndarray  # [n, F] uint8
+
+
 def scored(
+    candidates: Candidates,
     pick: Callable[[np.ndarray], Level],
-    candidate: np.ndarray,
-    num_solved: np.ndarray,
-    num_finished: np.ndarray,
     *,
-    features: np.ndarray,
     size: int,
     policy_version: int,
     min_finished: int = 0,
 ) -> Scored:
-    """Counts and best levels of n candidates, for a buffer of `size`. pick: levels of some, by index in `candidate`.
-    min_finished: episodes that a candidate needs to be kept."""
-    slots = _best_first(candidate, num_solved, num_finished, min_finished)[:size]
+    """Counts and best levels of candidates, for a buffer of `size`. pick: levels of some, by index.
+
+    min_finished: episodes that a candidate needs to be one of the best.
+    """
+    number, num_solved, num_finished, features = candidates
+    index = _best_first(number, num_solved, num_finished, min_finished)[:size]
     return Scored(
-        candidate=np.asarray(candidate, np.int32),
+        candidate=np.asarray(number, np.int32),
         num_solved=np.asarray(num_solved, np.int32),
         num_finished=np.asarray(num_finished, np.int32),
         features=features,
-        best=np.asarray(candidate, np.int32)[slots],
-        levels=jax.device_get(pick(slots)),
+        best=np.asarray(number, np.int32)[index],
+        levels=jax.device_get(pick(index)),
         policy_version=np.int32(policy_version),
     )
 

@@ -22,6 +22,7 @@ from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.curator.level_buffer import (
+    Candidates,
     LevelBuffer,
     Scored,
     buffer_metrics,
@@ -133,12 +134,10 @@ class Sfl(Curriculum):
         counts.append([self._features(batch) for batch in levels])
         num_solved, num_finished, features = (np.concatenate(jax.device_get(count)) for count in counts)
         one_batch = np.arange(config.scoring_batch)
+        number = np.concatenate([batch * config.scoring_batch + one_batch for batch in batches])
         return scored(
-            lambda slots: self._pick(jax.device_put(levels, devices[0]), slots),
-            np.concatenate([batch * config.scoring_batch + one_batch for batch in batches]),
-            num_solved,
-            num_finished,
-            features=features,
+            Candidates(number, num_solved, num_finished, features),
+            lambda index: self._pick(jax.device_put(levels, devices[0]), index),
             size=config.buffer_size,
             policy_version=policy_version,
         )

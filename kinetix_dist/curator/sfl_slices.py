@@ -29,7 +29,7 @@ from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.curator.halving import Attempts, Halving
-from kinetix_dist.curator.level_buffer import LevelBuffer, Scored, keep_best, refresh_log
+from kinetix_dist.curator.level_buffer import Candidates, LevelBuffer, Scored, keep_best, refresh_log
 from kinetix_dist.curator.scores import learnability
 from kinetix_dist.curator.slice_buffer import (
     SliceBuffer,
@@ -206,12 +206,10 @@ class SflSlices(Curriculum):
         slot_of = np.full(len(candidate), -1)  # of a candidate among the finalists
         finalists_of_all = np.concatenate([index * batch_size + each.finalists for index, each in enumerate(tried)])
         slot_of[finalists_of_all] = np.arange(len(finalists_of_all))
+        counts = (np.concatenate([getattr(each, name) for each in tried]) for name in ("num_solved", "num_attempts"))
         return scored(
-            lambda slots: jax.tree.map(lambda *xs: np.concatenate(xs)[slot_of[slots]], *finalists),
-            candidate,
-            np.concatenate([each.num_solved for each in tried]),
-            np.concatenate([each.num_attempts for each in tried]),
-            features=np.concatenate(features),
+            Candidates(candidate, *counts, np.concatenate(features)),
+            lambda index: jax.tree.map(lambda *xs: np.concatenate(xs)[slot_of[index]], *finalists),
             size=size,
             policy_version=policy_version,
             min_finished=config.slices.attempts[-1],

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from kinetix_dist.curator.config import CurriculumConfig
-from kinetix_dist.curator.level_buffer import keep_best, scored
+from kinetix_dist.curator.level_buffer import Candidates, keep_best, scored
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import SIZES
 from tests.curator.made import curriculum_of
@@ -35,5 +35,5 @@ def buffer_of(seed, num_solved, num_finished):
     def pick(slots):
         return jax.tree.map(lambda x: x[slots], levels)
 
-    others = {"features": np.zeros((size, 1), np.uint8), "size": size, "policy_version": 0}
-    return keep_best([scored(pick, np.arange(size), *counts, **others)], size)
+    candidates = Candidates(np.arange(size), *counts, np.zeros((size, 1), np.uint8))
+    return keep_best([scored(candidates, pick, size=size, policy_version=0)], size)

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from kinetix_dist.curator.level_buffer import buffer_metrics, keep_best, scored
+from kinetix_dist.curator.level_buffer import Candidates, buffer_metrics, keep_best, scored
 from kinetix_dist.curator.scores import exact_keys, learnability, solve_rate
 
 
@@ -26,8 +26,8 @@ def test_nothing_is_claimed_of_a_level_without_a_finished_episode():
 def _scored(candidate, solved, finished, size=4):
     """A level is its number."""
     counts = np.asarray(solved)[candidate], np.asarray(finished)[candidate]
-    others = {"features": np.stack([candidate], axis=1).astype(np.uint8), "size": size, "policy_version": 7}
-    return scored(lambda slots: {"number": candidate[slots]}, candidate, *counts, **others)
+    candidates = Candidates(candidate, *counts, np.stack([candidate], axis=1).astype(np.uint8))
+    return scored(candidates, lambda index: {"number": candidate[index]}, size=size, policy_version=7)
 
 
 def test_the_most_learnable_are_kept_and_ties_prefer_the_higher_solve_rate():
