@@ -199,8 +199,8 @@ class SflSlices(Curriculum):
         found = []
         for start in range(0, len(batches), len(devices)):
             # All devices get work before any is waited for; finalists go to the host before the next ones.
-            scored = [score(index, batch) for index, batch in enumerate(batches[start : start + len(devices)])]
-            found.extend(jax.device_get(scored))
+            launched = [score(index, batch) for index, batch in enumerate(batches[start : start + len(devices)])]
+            found.extend(jax.device_get(launched))
         tried, finalists, features = zip(*found, strict=True)
         candidate = np.concatenate([batch * batch_size + np.arange(batch_size) for batch in batches])
         slot_of = np.full(len(candidate), -1)  # of a candidate among the finalists
