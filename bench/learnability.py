@@ -55,9 +55,8 @@ def line_of(entry: dict[str, Any]) -> str:
     training, probe = entry.get("training"), entry.get("probe")
     found, played, chosen, again = "-", "-", "-", "-"
     if training is not None:
-        mark = "*" if training["of_all_episodes"] else ""
-        found = in_words([training["learnability"], training["learnability_error"]]) + mark
-        played = f"{with_interval(training)} of {training['episodes']}{mark}"
+        found = in_words([training["learnability"], training["learnability_error"]])
+        played = f"{with_interval(training)} of {training['episodes']}"
     if probe is not None:
         before, after = probe["before"], probe["after"]
         chosen = f"{before['rate']:.1%}"

@@ -80,7 +80,7 @@ PARTS: dict[str, Callable[[str, str], bool]] = {
     ),
     "towers, loss": lambda file, function: (
         file in ("towers.py", "gru.py", "ppo_loss.py", "categorical.py")
-        or function.startswith("_gradient")
+        or function.startswith(("_gradient", "minibatch_loss"))
         or function == "towers"
     ),
     "optimiser": lambda file, function: file == "update.py" and function.startswith("_apply"),

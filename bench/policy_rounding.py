@@ -44,9 +44,10 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.load_policy import load_policy
-from kinetix_dist.learner.ppo_loss import Samples, ppo_terms, total_loss
+from kinetix_dist.learner.ppo_loss import Samples
 from kinetix_dist.learner.sharding import data_mesh, on_devices
-from kinetix_dist.learner.update import IN_SPECS, _Program, _shuffled, advantages_of, make_update
+from kinetix_dist.learner.step_size import Sizes
+from kinetix_dist.learner.update import IN_SPECS, _Program, _shuffled, advantages_of, make_update, minibatch_loss
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.models.policy import DTYPES
 from kinetix_dist.recipes import recipe
@@ -158,6 +159,7 @@ def log_ratios_of(
         flat = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), given)
         is_first = jnp.roll(trajectory.done_after, 1, axis=0).at[0].set(True).reshape(-1)
         index = _shuffled(prng.wrap_key_data(key), num_steps, num_worlds, program)
+        now = Sizes(1.0, program.config.clip, program.config.entropy_coefficient)
 
         def minibatch(total: Array, index: Array) -> tuple[Array, Array]:
             steps, of_steps, targets = jax.tree.map(lambda x: x[index], flat)
@@ -172,7 +174,8 @@ def log_ratios_of(
             )
             obs = program.observation.join(fixed.obs, steps.dynamic_obs)
             memory = {"is_first": is_first[index].reshape(num_steps, -1)} if program.is_recurrent else {}
-            gradient, log_probs = jax.grad(_loss(program, obs, samples, memory), has_aux=True)(params)
+            loss = minibatch_loss(program, now, obs, samples, samples.old_values.size, memory)
+            gradient, (_, log_probs) = jax.grad(loss, has_aux=True)(params)
             # Used, so that the backward pass is computed.
             total = total + sum(jnp.sum(jnp.abs(x)) for x in jax.tree.leaves(gradient))
             return total, log_probs - steps.log_probs
@@ -193,28 +196,6 @@ def log_ratios_of(
         return ordered
 
     return compute
-
-
-def _loss(
-    program: _Program, obs: Any, samples: Samples, memory: dict[str, Array]
-) -> Callable[[Any], tuple[Array, Array]]:
-    """The loss of a minibatch as in `learner/update.py`, with the log-probabilities."""
-    config = program.config
-    counted = {} if samples.bound_heads is None else {"bound": samples.bound_heads}
-
-    def loss(params: Any) -> tuple[Array, Array]:
-        outputs, values = program.policy.apply(params, obs, **memory)
-        log_probs, entropies = program.distribution.log_prob_and_entropy(outputs, samples.actions, **counted)
-        value_clip = config.clip if config.value_clip else None
-        terms = ppo_terms(log_probs, entropies, values, samples, clip=config.clip, value_clip=value_clip)
-        means = terms / samples.old_values.size
-        weights = {
-            "value_coefficient": config.value_coefficient,
-            "entropy_coefficient": config.entropy_coefficient,
-        }
-        return total_loss(means, **weights), log_probs
-
-    return loss
 
 
 def records(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:

@@ -298,14 +298,14 @@ class _Stored(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ProgramKey:
-    """Everything that decides what a function computes beside its arguments, JAX and the devices."""
+    """Everything that decides what a function computes besides its arguments, JAX and the devices."""
 
     kind: str  # folder of the cache
     module: str  # usually the caller's `__name__`; it reaches all code that is traced but the classes of `parts`
     parts: tuple[object, ...] = ()  # of classes of this project, see `is_cacheable`
     depends_on: object = None  # anything else; its repr is part of the key
     at_trace: Callable[[], object] = tuple  # gives anything else that is known when it is traced
-    custom_calls: tuple[str, ...] = ()  # that the program may make beside the engine's and those that JAX keeps stable
+    custom_calls: tuple[str, ...] = ()  # that the program may make besides the engine's and those that JAX keeps stable
 
     @property
     def closure(self) -> Closure:

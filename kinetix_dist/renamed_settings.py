@@ -31,6 +31,7 @@ RENAMED_VALUES: dict[tuple[str, Any], Any] = {
 
 # Options of commands that are no settings: (command, option before) -> option now, ("sweep", "--places") -> "--slots".
 RENAMED_OPTIONS: dict[tuple[str, str], str] = {
+    ("levels", "--beside"): "--reference",
     ("sweep", "--lanes"): "--slots",
 }
 

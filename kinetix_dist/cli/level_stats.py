@@ -2,7 +2,7 @@
 
 kinetix-dist levels stats --size m                                   10,000 levels of the default generator
 kinetix-dist levels stats --size m --generator kinetix --json m.json
-kinetix-dist levels stats --size m --beside tests/level/data/published_levels.json
+kinetix-dist levels stats --size m --reference tests/level/data/published_levels.json
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Stats:
     """Of the draw."""
     json: Path | None = None
     """Also write the statistics here."""
-    beside: Path | None = None
+    reference: Path | None = None
     """A file that --json (of this size) or bench/published_levels.py wrote: shown next to these, with how far apart."""
 
 
@@ -55,7 +55,7 @@ def run_stats(args: Stats) -> int:
         check_output_file(args.json, "--json")
     with user_errors(ValueError, OSError):
         config = generator(args.generator)
-        reference = None if args.beside is None else read_described(args.beside, args.size)
+        reference = None if args.reference is None else read_described(args.reference, args.size)
         levels = generate_levels(prng.key(args.seed), args.levels, capacity_of_size(args.size), config)
     found = statistics(levels)
     is_solved = np.asarray(noop_solved(levels))
@@ -93,7 +93,7 @@ def _show(args: Stats, found: dict[str, Any], reference: dict[str, Any] | None) 
     table.add_column("here", justify="right")
     rows = {}
     if reference is not None:
-        table.add_column("beside", justify="right")
+        table.add_column("reference", justify="right")
         table.add_column("standard errors apart", justify="right")
         shared = {name: value for name, value in found.items() if name in reference and _has(value)}
         rows = {row.name: row for row in compare(shared, {name: reference[name] for name in shared})}

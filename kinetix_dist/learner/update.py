@@ -300,6 +300,28 @@ def _advantage_statistics(
     return mean, 1.0 / (std + 1e-8)  # 1e-8: equal advantages become zeros
 
 
+def minibatch_loss(
+    program: _Program, now: Sizes, obs: Any, samples: Samples, minibatch_size: int, memory: dict[str, Array]
+) -> Callable[[Any], tuple[Array, tuple[Array, Array]]]:
+    """Loss as a function of the parameters: this device's share of the mean loss, (shares of LOSS_METRICS, log-probs).
+
+    memory: further input of a recurrent policy, see models/gru.py.
+    """
+    config = program.config
+    counted = {} if samples.bound_heads is None else {"bound": samples.bound_heads}
+
+    def loss(params: Any) -> tuple[Array, tuple[Array, Array]]:
+        outputs, values = program.policy.apply(params, obs, **memory)
+        log_probs, entropies = program.distribution.log_prob_and_entropy(outputs, samples.actions, **counted)
+        value_clip = now.clip if config.value_clip else None
+        terms = ppo_terms(log_probs, entropies, values, samples, clip=now.clip, value_clip=value_clip)
+        means = terms / minibatch_size
+        weights = {"value_coefficient": config.value_coefficient, "entropy_coefficient": now.entropy_coefficient}
+        return total_loss(means, **weights), (means, log_probs)
+
+    return loss
+
+
 def _gradient(
     program: _Program,
     now: Sizes,
@@ -309,23 +331,10 @@ def _gradient(
     minibatch_size: int,
     memory: dict[str, Array],
 ) -> tuple[Any, Array]:
-    """Share of this device in the gradient of the mean loss and in the means of LOSS_METRICS.
-
-    memory: input of a recurrent policy next to `obs`, see models/gru.py.
-    """
-    config = program.config
-    counted = {} if samples.bound_heads is None else {"bound": samples.bound_heads}
-
-    def loss(params: Any) -> tuple[Array, Array]:
-        outputs, values = program.policy.apply(params, obs, **memory)
-        log_probs, entropies = program.distribution.log_prob_and_entropy(outputs, samples.actions, **counted)
-        value_clip = now.clip if config.value_clip else None
-        terms = ppo_terms(log_probs, entropies, values, samples, clip=now.clip, value_clip=value_clip)
-        means = terms / minibatch_size
-        weights = {"value_coefficient": config.value_coefficient, "entropy_coefficient": now.entropy_coefficient}
-        return total_loss(means, **weights), means
-
-    return jax.grad(loss, has_aux=True)(params)
+    """Share of this device in the gradient of the mean loss and in the means of LOSS_METRICS."""
+    loss = minibatch_loss(program, now, obs, samples, minibatch_size, memory)
+    gradient, (means, _) = jax.grad(loss, has_aux=True)(params)
+    return gradient, means
 
 
 def _apply(

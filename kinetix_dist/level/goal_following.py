@@ -48,15 +48,16 @@ _NUM_LINKS = 5
 
 
 def generate_goal_following_level(key: Array, capacity: Capacity, morphology: str) -> Level:
-    """One level with a body of that name. Consumes `key`. Raises ValueError for another name or too little room."""
+    """One level with a body of that name. Consumes `key`. Raises ValueError for another name or too small a
+    capacity."""
     if morphology not in MORPHOLOGIES:
         raise ValueError(f"unknown morphology {morphology!r}; there are {', '.join(MORPHOLOGIES)}")
     needs = MORPHOLOGIES[morphology]
     have = {name: getattr(capacity, name) for name in ("polygons", "circles", "joints", "thrusters")}
     have["polygons"] -= NUM_WALLS
-    for name, room in have.items():
-        if room < (needed := getattr(needs, name)):
-            raise ValueError(f"{morphology!r} needs {needed} {name}, there are {room}; use a larger size")
+    for name, free in have.items():
+        if free < (needed := getattr(needs, name)):
+            raise ValueError(f"{morphology!r} needs {needed} {name}, there are {free}; use a larger size")
     draws = Draws(jax.lax.unstack(draw_numbers(key)))
     body = needs.build(draws, capacity)
     lowest, highest = extent(body.parts)

@@ -9,7 +9,7 @@ What differs there, and what is done about it:
   rest; a motor drives b relative to a towards +speed. All as in `Scene`;
 - walls of two kinds of files are not where they are here: see `kinetix_walls.py`.
 
-Slots are kept: shape i of the file is shape i of the level.
+Shape i of the file is shape i of the level.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class PublicLevel:
 
     level: Level  # numpy, with the capacity of the document's own arrays
     walls: PublicWalls  # as the document has them; those of the level are the usual box
-    notes: tuple[str, ...]  # what was mended or is played otherwise here, a phrase each
+    notes: tuple[str, ...]  # mended walls and ignored settings, a phrase each
 
 
 def load_kinetix(path: str | Path) -> Level:

@@ -211,7 +211,7 @@ def files_of_set(name: str) -> list[Path]:
 
 
 def level_files(directory: Path, pattern: str) -> list[Path]:
-    """Files of a directory that should hold levels: not proofs that lie beside them, and not other level data."""
+    """Files of a directory that should hold levels: not proofs in the same directory, and not other level data."""
     return [path for path in data_files(directory, pattern) if not path.name.endswith(PROOF_SUFFIX)]
 
 

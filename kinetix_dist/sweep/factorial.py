@@ -1,6 +1,6 @@
 """Two-level designs: levels of every arm, and aliased effects.
 
-A factor is a word over basic columns, kept as a set of bits; the product of two factors is the exclusive or of their
+A factor is a word over basic columns, stored as a set of bits; the product of two factors is the exclusive or of their
 words, and two products are aliases where their words are the same. The fold-over is one basic column more, which
 changes the sign of all factors, so that words of odd and of even products differ in it.
 (G. Box, S. Hunter, W. Hunter, Statistics for Experimenters, chapters 5 and 6.)

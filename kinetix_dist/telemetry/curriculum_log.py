@@ -26,7 +26,6 @@ from kinetix_dist.telemetry.json_lines import read_lines
 
 FORMAT = 1  # of snapshots
 OUTCOMES_FORMAT = 2  # lines count attempts, the first episode of each world in an update
-ALL_EPISODES_FORMAT = 1  # lines of earlier versions count all episodes that ended, those of short ones more often
 DIRECTORY = "curriculum"
 OUTCOMES = "outcomes.jsonl"
 REFRESH, BUFFER = "refresh", "buffer"
@@ -188,6 +187,9 @@ def read_outcomes(path: Path) -> list[dict[str, Any]]:
 
 
 def is_outcomes(row: Mapping[str, Any]) -> bool:
-    """True for a line of outcomes.jsonl, of this format or of the one before."""
-    is_known = row.get("format") in (OUTCOMES_FORMAT, ALL_EPISODES_FORMAT)
-    return is_known and isinstance(row.get("update"), int) and isinstance(row.get("sources"), dict)
+    """True for an object that is a line of outcomes.jsonl of this format."""
+    return (
+        row.get("format") == OUTCOMES_FORMAT
+        and isinstance(row.get("update"), int)
+        and isinstance(row.get("sources"), dict)
+    )

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from kinetix_dist.telemetry import curriculum_log
@@ -20,7 +19,6 @@ from kinetix_dist.telemetry.json_lines import append_line
 from tests.helpers import PATIENCE_S
 from tests.studio.runs_for_tests import solve_rate, write_rows, write_run
 from tests.studio.serving import Server, end, environment, wait_for
-from tests.studio.test_refreshes import window, write_refresh
 
 METRIC = "train/solve_rate"  # that runs are compared by at first
 OpenPage = Callable[..., Any]
@@ -261,29 +259,6 @@ def test_an_older_run_says_what_it_lacks(tmp_path: Path, open_page: OpenPage, se
     ):
         page.goto(f"http://127.0.0.1:{server.port}/#/run/a/{name}")
         page.get_by_text(text).wait_for()
-
-
-@pytest.mark.parametrize("is_old", [False, True])
-def test_counts_of_an_earlier_version_are_said_to_be_of_all_episodes(
-    is_old: bool, tmp_path: Path, open_page: OpenPage, serve: Serve
-) -> None:
-    run = write_run(tmp_path / "a", 3)
-    if not is_old:
-        write_rows(run, 4, 5, **{"train/attempts": 16})
-    write_refresh(run, 0, np.random.default_rng(0))
-    counted = window(0, 0, 16, [2] * 8, [4] * 8, is_old=is_old)
-    append_line(run / curriculum_log.DIRECTORY / curriculum_log.OUTCOMES, counted)
-    server = serve(tmp_path, "--no-play")
-    page = open_page(server, "#/run/a/curriculum")
-    said = "of an older version: of all episodes"
-    for title in ("Solve rate in training", "Learnability"):
-        wait_for_drawn(page, title)
-        assert (said in panel(page, title).inner_text()) == is_old
-    page = open_page(server, f"#/compare?runs=a&metric={METRIC}")
-    wait_for_drawn(page, f"{METRIC}: each run")
-    assert page.get_by_text(f"{METRIC} of a is {said}").count() == is_old
-    page = open_page(server)
-    page.get_by_role("cell", name="of 10 *" if is_old else "of 16").wait_for()
 
 
 def test_without_play_pages_say_so(tmp_path: Path, trained: Path, open_page: OpenPage, serve: Serve) -> None:

@@ -118,7 +118,7 @@ def test_the_list_names_settings_of_this_jax_with_its_defaults_first():
 
 
 @pytest.fixture
-def nobody(monkeypatch, tmp_path):
+def fallback(monkeypatch, tmp_path):
     """A user of whom the system knows nothing; temporary files go to tmp_path."""
 
     def unknown(uid):
@@ -132,36 +132,36 @@ def nobody(monkeypatch, tmp_path):
     return tmp_path / f"kinetix-dist-{os.getuid()}"
 
 
-def test_without_home_caches_go_to_a_temporary_directory_of_this_user_alone(nobody, monkeypatch, tmp_path):
+def test_without_home_caches_go_to_a_temporary_directory_of_this_user_alone(fallback, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     said = user_directories.settle.__wrapped__()
-    assert said.startswith(f"user uid{os.getuid()} has no home directory: caches are kept in {nobody}; set HOME")
-    assert nobody.stat().st_mode & 0o777 == 0o700
-    assert (Path.home(), os.environ["XDG_CACHE_HOME"]) == (nobody, str(nobody / ".cache"))
+    assert said.startswith(f"user uid{os.getuid()} has no home directory: caches are stored in {fallback}; set HOME")
+    assert fallback.stat().st_mode & 0o777 == 0o700
+    assert (Path.home(), os.environ["XDG_CACHE_HOME"]) == (fallback, str(fallback / ".cache"))
     assert getpass.getuser() == f"uid{os.getuid()}"
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
     before = jax.config.jax_compilation_cache_dir
     try:
-        assert enable_compile_cache("") == nobody / ".cache" / "kinetix-dist" / "jax"
+        assert enable_compile_cache("") == fallback / ".cache" / "kinetix-dist" / "jax"
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
-    assert [path.name for path in tmp_path.iterdir()] == [nobody.name]  # no "~"
+    assert [path.name for path in tmp_path.iterdir()] == [fallback.name]  # no "~"
     assert user_directories.settle.__wrapped__() == ""  # nothing is left to replace
 
 
-def test_a_home_that_cannot_be_written_keeps_its_place_and_caches_go_elsewhere(nobody, monkeypatch, tmp_path):
+def test_a_home_that_cannot_be_written_stays_and_caches_go_elsewhere(fallback, monkeypatch, tmp_path):
     home = tmp_path / "home"
     home.mkdir()
     (home / ".cache").write_text("a file")  # also for root
     monkeypatch.setattr(os, "access", lambda path, mode: not Path(path).is_relative_to(home))
     monkeypatch.setenv("HOME", str(home))
     said = user_directories.settle.__wrapped__()
-    assert said.startswith(f"{home / '.cache'} cannot be written: caches are kept in {nobody};")
-    assert (os.environ["HOME"], os.environ["XDG_CACHE_HOME"]) == (str(home), str(nobody / ".cache"))
-    assert os.environ["RAY_AUTH_TOKEN_PATH"] == str(nobody / "ray_auth_token")
+    assert said.startswith(f"{home / '.cache'} cannot be written: caches are stored in {fallback};")
+    assert (os.environ["HOME"], os.environ["XDG_CACHE_HOME"]) == (str(home), str(fallback / ".cache"))
+    assert os.environ["RAY_AUTH_TOKEN_PATH"] == str(fallback / "ray_auth_token")
 
 
-def test_rays_token_moves_too_where_only_the_caches_have_a_place(nobody, monkeypatch, tmp_path):
+def test_rays_token_moves_too_where_only_the_caches_have_a_directory(fallback, monkeypatch, tmp_path):
     home, cache = tmp_path / "home", tmp_path / "cache"
     home.mkdir()
     cache.mkdir()
@@ -169,15 +169,15 @@ def test_rays_token_moves_too_where_only_the_caches_have_a_place(nobody, monkeyp
     monkeypatch.setenv("HOME", str(home))
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     said = user_directories.settle.__wrapped__()
-    assert said.startswith(f"{home / '.ray'} cannot be written: Ray's token is kept in {nobody};")
-    assert os.environ["RAY_AUTH_TOKEN_PATH"] == str(nobody / "ray_auth_token")
+    assert said.startswith(f"{home / '.ray'} cannot be written: Ray's token goes to {fallback};")
+    assert os.environ["RAY_AUTH_TOKEN_PATH"] == str(fallback / "ray_auth_token")
     assert os.environ["XDG_CACHE_HOME"] == str(cache)
 
 
-def test_a_directory_of_that_name_that_others_can_read_is_not_taken(nobody, tmp_path):
-    nobody.mkdir(mode=0o755)
+def test_a_directory_of_that_name_that_others_can_read_is_not_taken(fallback, tmp_path):
+    fallback.mkdir(mode=0o755)
     user_directories.settle.__wrapped__()
-    assert os.environ["HOME"] != str(nobody) and Path(os.environ["HOME"]).parent == tmp_path
+    assert os.environ["HOME"] != str(fallback) and Path(os.environ["HOME"]).parent == tmp_path
 
 
 def test_a_usable_home_stays_as_it_is(monkeypatch, tmp_path):

@@ -30,7 +30,7 @@ SHORT = EnvConfig(size="s", max_steps=8)
 def save_run(run: Path, policy: PolicyConfig, env_config: EnvConfig = SHORT, *, old_preset: str = "") -> Path:
     """A run directory with one checkpoint of a policy that has not learned anything; returns the checkpoint.
 
-    old_preset: the checkpoint is as of a version that kept the name of a preset instead of its numbers."""
+    old_preset: the checkpoint is as of a version that stored the name of a preset instead of its numbers."""
     if policy.network == "flat":
         env_config = dataclasses.replace(env_config, observation="flat")
     config = TrainConfig(env=env_config, policy=policy, run=RunConfig(total_env_steps=1))

@@ -21,7 +21,7 @@ def test_the_report_of_the_public_distribution_lies_in_the_ranges_of_its_paramet
 ) -> None:
     file = tmp_path / "m.json"
     options = ["--generator", "kinetix", "--levels", str(NUM_LEVELS), "--seed", "3"]
-    assert main(["levels", "stats", *options, "--json", str(file), "--beside", str(PUBLISHED)]) == 0
+    assert main(["levels", "stats", *options, "--json", str(file), "--reference", str(PUBLISHED)]) == 0
     printed = capsys.readouterr().out
     assert "1,000 levels of size M, generator kinetix, seed 3" in printed
     assert "0 of 80 statistics are more than 4.5 standard errors apart" in printed
@@ -87,8 +87,8 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
     for options, says in (
         (["--levels", "0"], "--levels is 0; draw 1 or more"),
         (["--generator", "nosuch"], "unknown generator 'nosuch'; generators are default, kinetix"),
-        (["--beside", str(other)], "has no statistics of size m"),
-        (["--beside", str(tmp_path / "no.json")], "No such file"),
+        (["--reference", str(other)], "has no statistics of size m"),
+        (["--reference", str(tmp_path / "no.json")], "No such file"),
         (["--json", str(tmp_path / "no" / "x.json")], "give --json a file in a directory that exists"),
         (["--json", str(tmp_path)], "give --json a file in a directory that exists"),
         (["--seed", "99999999999999999999"], "--seed is 99999999999999999999; give a number from 0 to 4294967295"),

@@ -1,4 +1,4 @@
-"""Standard streams that are closed, that nobody reads, and that take ASCII alone."""
+"""Standard streams that are closed, without a reader, or that take ASCII alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bodies under a goal that they cannot touch: every level is valid, still at its start, and of the kind asked for."""
+"""Bodies under a goal that they cannot touch: every level is valid, still at its start, and of the requested kind."""
 
 from __future__ import annotations
 

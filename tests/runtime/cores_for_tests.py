@@ -10,7 +10,7 @@ from typing import Any
 
 
 class Told:
-    """Says what its process was told."""
+    """Returns the environment of its process."""
 
     def environment(self, name: str) -> str | None:
         return os.environ.get(name)
@@ -75,7 +75,7 @@ class HangingStamp(dict[str, Any]):
 
 
 class Compiler:
-    """Compiles a program over all devices of its group, with compiled programs on disk; does nothing when told so."""
+    """Compiles a program over all devices of its group, with compiled programs on disk; can do nothing."""
 
     def __init__(self, directory: str) -> None:
         import jax
@@ -99,11 +99,11 @@ class Compiler:
         program().block_until_ready()
         return self._num_hits
 
-    def sleep(self, seconds: float, *beside: object) -> None:
+    def sleep(self, seconds: float, *others: object) -> None:
         time.sleep(seconds)
 
     def give(self, size: int) -> tuple[dict[str, int], Any]:
-        """(stamp, content)"""
+        """(header, content)"""
         import numpy as np
 
         return {"size": size}, np.ones(size, np.uint8)

@@ -58,12 +58,12 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
         arrays, update = before.snapshot(), 1
         expected, *_ = before.run_update(1)
 
-    jax.clear_caches()  # programs are kept for workers of equal settings
+    jax.clear_caches()  # programs are cached for workers of equal settings
     lowered.clear()
     worker = Worker(config, mesh, update)
     worker.start(arrays)
     # At once: it waits for the threads, else it would compile them too.
-    if is_resumed:  # what traces beside an update slows its launch
+    if is_resumed:  # tracing during an update slows its launch
         assert not worker._refresh_programs._jobs
     else:
         _, refreshed = worker.refresh(worker.released(), 0, 0, 1)
@@ -102,7 +102,7 @@ CALLS: dict[str, tuple[str, list[Any]]] = {
 @pytest.mark.parametrize("programs", CALLS)
 def test_what_kept_a_program_from_being_compiled_is_raised_by_the_call_that_runs_it(programs):
     call, arguments = CALLS[programs]
-    worker = Worker.__new__(Worker)  # nothing else of it is asked for before
+    worker = Worker.__new__(Worker)  # nothing else of it is used before
     setattr(worker, programs, Ahead())
 
     def fail() -> None:
@@ -185,7 +185,7 @@ def test_who_waits_for_programs_raises_what_kept_them_from_being_compiled():
     threading.Timer(0.1, may_end.set).start()
     with pytest.raises(ValueError, match="too large"):
         programs.wait()
-    with pytest.raises(ValueError, match="too large"):  # whoever asks next cannot go on without, either
+    with pytest.raises(ValueError, match="too large"):  # the next call cannot go on without, either
         programs.wait()
 
 

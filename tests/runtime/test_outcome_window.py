@@ -78,20 +78,10 @@ def test_a_window_that_goes_on_from_a_checkpoint_gives_the_same_lines(cut):
     )
 
 
-def test_a_window_of_an_earlier_version_ends_as_a_line_of_its_own():
-    """Its checkpoint holds counts of all episodes: they are not added to attempts."""
+def test_a_stored_window_without_attempts_is_dropped():
     window = OutcomeWindow(SOURCES, every=4)
     old = {"outcomes/finished": np.array([9, 5, 0], np.int64), "outcomes/solved": np.array([8, 2, 0], np.int64)}
     window.start({"outcomes_from": 4, "outcomes_buffer": 0}, old, num_updates=6)
-    (line,) = window.add(7, _attempts([1, 1, 2]), 0)
-    assert line == {
-        "format": 1,
-        "update": 6,
-        "from_update": 4,
-        "buffer": 0,
-        "finished": [5, 0],
-        "solved": [2, 0],
-        "sources": {"fresh": {"finished": 9, "solved": 8}},
-    }
+    assert not window.add(7, _attempts([1, 1, 2]), 0)
     (line,) = window.add(8, _attempts([1, 0, 3]), 0)
     assert (line["format"], line["from_update"], line["update"], line["attempts"]) == (2, 6, 8, [1, 5])

@@ -187,7 +187,7 @@ def test_rollout_actors_can_play_on_gpus_and_on_cpus_in_one_run():
         ("curator 0", 1),
     ]
     assert all(p.env_vars == {"JAX_PLATFORMS": "cpu"} and p.memory is None for p in mixed.processes if p.gpu is None)
-    alone = placed(1, num_rollout_actors=2, num_cpu_rollout_actors=2)  # then the curator is beside the learner
+    alone = placed(1, num_rollout_actors=2, num_cpu_rollout_actors=2)  # then the curator shares the GPU of the learner
     assert [(p.name, p.gpu, p.gpu_share) for p in alone.processes if p.gpu == 0] == [
         ("learner 0", 0, 0.5),
         ("curator 0", 0, 0.5),
@@ -217,7 +217,7 @@ def test_a_gpu_that_is_not_there_is_refused():
 
 
 def _work(update, version, part=0, steps=10):
-    return Work(update=update, part=part, stamp={"policy_version": version, "num_env_steps": steps})
+    return Work(update=update, part=part, header={"policy_version": version, "num_env_steps": steps})
 
 
 def test_a_batch_is_taken_whole_and_in_order_of_its_parts():
@@ -253,7 +253,7 @@ def test_weights_are_kept_while_recent():
     for version in (0, 1, 2, 3):
         store.publish(version, version)
     assert 1 not in store and 2 in store and store.get(3) == 3
-    with pytest.raises(LookupError, match="version 0 is not kept"):
+    with pytest.raises(LookupError, match="version 0 is not stored"):
         store.get(0)
 
 

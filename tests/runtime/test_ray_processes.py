@@ -1,4 +1,4 @@
-"""Ray processes by themselves: who shares a GPU, and what a failure in one says. GPUs are slots of Ray's books here."""
+"""Ray processes by themselves: sharing of GPUs, and lines of failures. GPUs are slots of Ray's books here."""
 
 import dataclasses
 import gc
@@ -45,7 +45,7 @@ def backend():
 
 
 def _plan_of_slots(num_gpus=3):
-    """A worker a GPU and a curator; their memory is not shared out, since there is no GPU to ask."""
+    """A worker a GPU and a curator; their memory is not shared out, since there is no GPU."""
     placement = plan_placement(without_evaluator(recipe("sfl_s")), num_gpus=num_gpus)
     processes = tuple(dataclasses.replace(p, memory=None, env_vars=ON_CPU) for p in placement.processes)
     return dataclasses.replace(placement, processes=processes)
@@ -139,10 +139,10 @@ def test_learners_and_actors_are_started_at_the_same_time(backend, tmp_path):
 def test_a_port_that_is_taken_after_it_was_found_free_is_a_loss_and_not_the_end(backend, monkeypatch):
     """Another program takes it between the two: the group is lost, and started again with another port."""
     plans = [ProcessPlan(role="worker", index=index, env_vars=ON_CPU) for index in range(2)]
-    ask, taken = backend._all, []
+    query, taken = backend._all, []
 
     def ask_and_take(actors, references):
-        answers = ask(actors, references)
+        answers = query(actors, references)
         if isinstance(answers[0], str) and answers[0].count(":") == 1:
             host, _, port = answers[0].partition(":")
             taken.append(socket.create_server((host, int(port))))
@@ -197,12 +197,12 @@ def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, r
 def test_what_is_needed_next_is_fetched_while_a_call_computes_and_storing_it_is_timed(backend, restarted):
     (learner, actor), _ = restarted
     computing = learner.call("compute_until_handed", 60.0)
-    stamp, content = actor.call_with_header("give", 1 << 20)
-    (found,) = backend.gather([stamp])
+    header, content = actor.call_with_header("give", 1 << 20)
+    (found,) = backend.gather([header])
     assert found["size"] == found["put"][0] == 1 << 20 and found["put"][1] > 0
     handed = learner.call_in_background("hand", content)
     first = backend.first_ready([computing, handed])
-    assert first and all(ticket is computing or ticket is handed for ticket in first)
+    assert first and all(future is computing or future is handed for future in first)
     assert backend.gather([computing, handed]) == [1 << 20, None]
     with pytest.raises(ProcessFailedError, match="worker 1 failed"):
         backend.gather([actor.call_with_header("give", -1)[0]])
@@ -222,27 +222,27 @@ def _wait_for(condition, seconds=PATIENCE_S):
         time.sleep(0.1)
 
 
-def test_answers_that_nobody_fetches_or_whose_process_dies_while_it_stores_them_leave_nothing(backend, tmp_path):
+def test_answers_that_are_never_fetched_or_whose_process_dies_while_it_stores_them_leave_nothing(backend, tmp_path):
     (process,) = backend.spawn([ProcessPlan(role="rollout", index=0, env_vars=ON_CPU)], build_compiler, str(tmp_path))
     before = _stored_mib()
-    stamp, content = process.call_with_header("give_what_cannot_be_stored")
-    for ticket in (stamp, content):
+    header, content = process.call_with_header("give_what_cannot_be_stored")
+    for future in (header, content):
         with pytest.raises(ProcessFailedError, match="rollout 0 failed: TypeError: cannot pickle"):
-            backend.gather([ticket])
+            backend.gather([future])
     assert ray.get(process.actor.doing.remote()).what == "idle"  # the call is over for the process, too
-    stamp, content = process.call_with_header("give", 32 << 20)
-    backend.gather([stamp])
+    header, content = process.call_with_header("give", 32 << 20)
+    backend.gather([header])
     assert _stored_mib() == before + 32
     del content
     _wait_for(lambda: _stored_mib() == before)
-    stamp, content = process.call_with_header("give_and_hang", 32 << 20, str(tmp_path / "stored"))
+    header, content = process.call_with_header("give_and_hang", 32 << 20, str(tmp_path / "stored"))
     _wait_for((tmp_path / "stored").exists)
     assert _stored_mib() == before + 32 and not content.is_ready()
     os.kill(process.pid, signal.SIGKILL)
-    for ticket in (stamp, content):
+    for future in (header, content):
         with pytest.raises(WorkerLostError, match="rollout 0 died"):
-            backend.gather([ticket])
-    del stamp, content, ticket
+            backend.gather([future])
+    del header, content, future
     _wait_for(lambda: _stored_mib() == before)
     backend.kill([process])
 
@@ -336,7 +336,7 @@ def test_a_process_that_dies_while_nothing_is_asked_of_it_is_noticed_where_other
     os.kill(idle.pid, signal.SIGKILL)
     began = time.monotonic()
     with pytest.raises(WorkerLostError, match="rollout 0 died") as caught:
-        backend.first_ready([working], beside=[idle])
+        backend.first_ready([working], watched=[idle])
     assert caught.value.process == "rollout 0" and time.monotonic() - began < 15.0
     with pytest.raises(WorkerLostError, match="rollout 0 died"):
         backend.check([idle])

@@ -171,7 +171,7 @@ def test_the_line_of_a_window_has_the_learnability_of_its_levels(update, tmp_pat
     append_line(tmp_path / DIRECTORY / OUTCOMES, line)
     (shown,) = Refreshes(tmp_path).summaries()["windows"]
     fresh = shown["sources"]["fresh"]
-    assert holds(fresh["low"], P_OF_FRESH, fresh["high"]) and not shown["of_all_episodes"]
+    assert holds(fresh["low"], P_OF_FRESH, fresh["high"])
 
 
 def test_with_fewer_steps_than_an_episode_has_the_rate_is_that_of_solving_within_them() -> None:

@@ -1,4 +1,4 @@
-"""Batches on their way from rollout actors to learners, and what that costs. No process is started here."""
+"""Batches on their way from rollout actors to learners, and their costs. No process is started here."""
 
 import dataclasses
 
@@ -72,21 +72,21 @@ def test_copies_are_added_over_processes_and_the_slowest_counts():
 
 
 def test_the_slowest_actor_is_named_with_what_it_lags_behind_the_others():
-    stamps = [{"seconds": seconds} for seconds in (1.0, 5.0, 1.5)]
-    assert straggler_metrics(stamps) == {"runtime/slowest_actor": 1.0, "runtime/slowest_actor_lag_seconds": 3.75}
-    assert straggler_metrics(stamps[:1]) == {}
+    headers = [{"seconds": seconds} for seconds in (1.0, 5.0, 1.5)]
+    assert straggler_metrics(headers) == {"runtime/slowest_actor": 1.0, "runtime/slowest_actor_lag_seconds": 3.75}
+    assert straggler_metrics(headers[:1]) == {}
 
 
 def _told_of(batches, *, steps=(64, 64, 64), replaced_before=None):
     """(process, update) of events. batches: seconds of each actor, of one batch after another."""
-    told = []
-    stragglers = Stragglers(lambda kind, **details: told.append((check_event(kind), details)))
+    noted = []
+    stragglers = Stragglers(lambda kind, **details: noted.append((check_event(kind), details)))
     for update, seconds in enumerate(batches, start=1):
         if update == replaced_before:
             stragglers.reset(1)
         stragglers.add(update, [{"seconds": s, "num_env_steps": n} for s, n in zip(seconds, steps, strict=True)])
-    assert all(kind == "straggler" for kind, _ in told)
-    return [(details["process"], details["update"]) for _, details in told]
+    assert all(kind == "straggler" for kind, _ in noted)
+    return [(details["process"], details["update"]) for _, details in noted]
 
 
 EVEN, SLOW = (1.0, 1.0, 1.2), (1.0, 2.5, 1.2)  # s of three actors; the median of the others is 1.1 s

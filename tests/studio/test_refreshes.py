@@ -52,12 +52,10 @@ def write_refresh(run: Path, version: int, chance: np.random.Generator, *, probe
     return arrays
 
 
-def window(buffer: int, first: int, last: int, solved: list[int], attempts: list[int], *, is_old: bool = False) -> dict:
-    """is_old: as earlier versions counted, all episodes that ended."""
-    tries = "finished" if is_old else "attempts"
+def window(buffer: int, first: int, last: int, solved: list[int], attempts: list[int]) -> dict:
     return {
-        "format": 1 if is_old else 2, "update": last, "from_update": first, "buffer": buffer, "solved": solved,
-        tries: attempts, "sources": {"fresh": {"solved": 3, tries: 10}},
+        "format": 2, "update": last, "from_update": first, "buffer": buffer, "solved": solved,
+        "attempts": attempts, "sources": {"fresh": {"solved": 3, "attempts": 10}},
     }  # fmt: skip
 
 
@@ -147,23 +145,15 @@ def test_windows_of_a_buffer_are_added_up() -> None:
     assert plays[0].solved.tolist() == [2, 1] and plays[0].attempts.tolist() == [3, 3] and plays[0].update == 8
 
 
-def test_counts_of_earlier_versions_are_read_marked_and_never_added_to_attempts(tmp_path: Path) -> None:
+def test_lines_of_another_format_and_lines_without_their_fields_count_as_damaged(tmp_path: Path) -> None:
     write_refresh(tmp_path, 0, np.random.default_rng(0))
-    lines = tmp_path / DIRECTORY / OUTCOMES
-    append_line(lines, window(0, 2, 10, [3] * 8, [4] * 8, is_old=True))
-    append_line(lines, window(0, 10, 18, [2] * 8, [2] * 8, is_old=True))
+    line = window(0, 18, 20, [1] * 8, [2] * 8)
+    without = {name: value for name, value in line.items() if name != "attempts"}
+    for row in (line | {"format": 1}, without, line):
+        append_line(tmp_path / DIRECTORY / OUTCOMES, row)
     found = Refreshes(tmp_path).summaries()
-    training = found["snapshots"][0]["training"]
-    assert not found["problems"] and training["of_all_episodes"]
-    assert (training["solved"], training["episodes"]) == (40, 48)
-    assert [w["of_all_episodes"] for w in found["windows"]] == [True, True]
-    append_line(lines, window(0, 18, 20, [1] * 8, [2] * 8))  # resumed by this version
-    found = Refreshes(tmp_path).summaries()
-    training = found["snapshots"][0]["training"]
-    assert not training["of_all_episodes"] and (training["solved"], training["episodes"]) == (8, 16)
-    assert [w["of_all_episodes"] for w in found["windows"]] == [True, True, False]
-    append_line(lines, window(0, 20, 22, [1] * 8, [2] * 8, is_old=True) | {"format": 2})
-    assert len(Refreshes(tmp_path).summaries()["problems"]) == 1, "a line without the fields of its format"
+    assert found["problems"] == [f"2 lines of {DIRECTORY}/{OUTCOMES} are damaged and left out"]
+    assert found["snapshots"][0]["training"]["episodes"] == 16
 
 
 def test_what_fresh_levels_offer_is_said_of_candidates_that_are_a_sample_with_two_episodes_each(tmp_path: Path) -> None:

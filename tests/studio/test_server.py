@@ -236,24 +236,18 @@ def test_a_run_that_has_just_begun_is_found_by_any_page(tmp_path: Path, path: st
         assert b"there is no run" not in content and status in (200, 503), content
 
 
-def test_the_curriculum_of_a_run_has_attempts_and_says_where_an_earlier_version_counted_all_episodes(
-    tmp_path: Path,
-) -> None:
-    for name, is_old in (("new", False), ("old", True)):
-        run = write_run(tmp_path / name, 1)
-        write_refresh(run, 0, np.random.default_rng(0))
-        append_line(run / DIRECTORY / OUTCOMES, window(0, 0, 16, [2] * 8, [4] * 8, is_old=is_old))
+def test_the_curriculum_of_a_run_has_attempts(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "new", 1)
+    write_refresh(run, 0, np.random.default_rng(0))
+    append_line(run / DIRECTORY / OUTCOMES, window(0, 0, 16, [2] * 8, [4] * 8))
     with serving(tmp_path, "--no-play") as server:
-        for name, is_old in (("new", False), ("old", True)):
-            found = server.json(f"/api/runs/{name}/curriculum")
-            (shown,) = found["windows"]
-            assert shown["sources"]["buffer"]["episodes"] == 32 and shown["of_all_episodes"] == is_old
-            assert found["snapshots"][0]["training"]["of_all_episodes"] == is_old and not found["problems"]
-            base = f"/api/runs/{name}/curriculum/refresh/0/levels"
-            level = server.json(f"{base}?sort=attempts_training")["levels"][0]
-            assert (level["training"]["rate"], level["training"]["of_all_episodes"]) == (0.5, is_old)
-            (trained,) = server.json(f"{base}/3/history")["windows"]
-            assert (trained["solved"], trained["episodes"], trained["of_all_episodes"]) == (2, 4, is_old)
+        found = server.json("/api/runs/new/curriculum")
+        (shown,) = found["windows"]
+        assert shown["sources"]["buffer"]["episodes"] == 32 and not found["problems"]
+        base = "/api/runs/new/curriculum/refresh/0/levels"
+        assert server.json(f"{base}?sort=attempts_training")["levels"][0]["training"]["rate"] == 0.5
+        (trained,) = server.json(f"{base}/3/history")["windows"]
+        assert (trained["solved"], trained["episodes"]) == (2, 4)
 
 
 def test_the_server_imports_no_jax() -> None:

@@ -11,10 +11,10 @@ from tests.sweep.designs import design, halving_text, text
 def test_the_better_half_of_the_arms_goes_on(tmp_path):
     halving = design(tmp_path, halving_text())
     areas = {"plain": 0.3, "wide": 0.1, "narrow": 0.4, "slow": 0.2}
-    asked = []
+    requested = []
 
     def area_of(run, until):
-        asked.append(until)
+        requested.append(until)
         return areas[run.arm.name]
 
     found = list(stages(halving, runs_of(halving), area_of))
@@ -23,7 +23,7 @@ def test_the_better_half_of_the_arms_goes_on(tmp_path):
         (["plain", "narrow"], 40.0),
         (["narrow"], 80.0),
     ]
-    assert asked == [20.0] * 4 + [40.0] * 2
+    assert requested == [20.0] * 4 + [40.0] * 2
     assert [(count, until) for count, until in stage_sizes(halving, 4)] == [(4, 20.0), (2, 40.0), (1, 80.0)]
 
 

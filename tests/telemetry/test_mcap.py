@@ -1,4 +1,4 @@
-"""Recordings: what is written is what is read, by this project and by the mcap library; damage is told, not hidden."""
+"""Recordings: written rollouts are read, by this project and by the mcap library; damage is reported, not hidden."""
 
 from __future__ import annotations
 

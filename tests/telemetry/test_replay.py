@@ -1,4 +1,4 @@
-"""`kinetix-dist replay`: which rollout is taken, what is written, what bad input is told."""
+"""`kinetix-dist replay`: the rollout taken, the file written, the line for bad input."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_a_cut_recording_replays_and_says_so(run_directory: Path, capsys: pytest
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "expected"),
     [
         (["missing.mcap"], "does not exist"),
         (["{run}", "--index", "9"], "rollouts 0 to 2"),
@@ -126,13 +126,13 @@ def test_a_cut_recording_replays_and_says_so(run_directory: Path, capsys: pytest
     ],
 )
 def test_bad_input_is_one_line_and_status_2(
-    run_directory: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
+    run_directory: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
 ) -> None:
     (run_directory / "empty").mkdir()
     (run_directory / "notes.mcap").write_text("notes")
     assert main(["replay", *[argument.format(run=run_directory) for argument in arguments]]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert told in line
+    assert expected in line
 
 
 def test_view_without_a_display_writes_the_file_and_says_what_to_do(

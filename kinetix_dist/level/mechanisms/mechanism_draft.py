@@ -147,8 +147,8 @@ def _with_goal(draws: Draws, way: Draws, table: Table, num_blocks: int | None, r
     goal_x = jnp.where(is_mirrored, WORLD_SIZE_M - goal_x, goal_x)
     obstacle_x = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_x, obstacle_x)
     obstacle_ends = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_ends[::-1], obstacle_ends)
-    beside = jnp.stack([middle_x, FLOOR_TOP_M + CLEARANCE_M + task.height - lowest[1]])
-    table = table.moved(jnp.where(is_placed, task.middle.value, beside))
+    on_floor = jnp.stack([middle_x, FLOOR_TOP_M + CLEARANCE_M + task.height - lowest[1]])
+    table = table.moved(jnp.where(is_placed, task.middle.value, on_floor))
     goal = jnp.where(is_placed, task.middle.value + task.goal, jnp.stack([goal_x, goal_y]))
     bump = Part(
         position=jnp.stack([obstacle_x, FLOOR_TOP_M + bump_half[1]]),

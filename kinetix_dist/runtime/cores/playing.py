@@ -63,7 +63,6 @@ class Playing:
     """Environment, curriculum and rollout of one process. groups, division: see `RolloutCore`.
 
     Methods take the configuration of a phase, and give the same object until one differs in what the object depends on.
-
     """
 
     def __init__(

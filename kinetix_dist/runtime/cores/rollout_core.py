@@ -38,7 +38,6 @@ class Batch(NamedTuple):
     """Batch that the learner takes: [W, ...], [T, W, ...] and [W]; arrays, or how each is sharded.
 
     Worlds lie in all slots of a division, see `Division.spread`.
-
     """
 
     static: Any  # `StaticInput`

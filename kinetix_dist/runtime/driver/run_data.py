@@ -30,7 +30,6 @@ from kinetix_dist.runtime.driver.roles import Refresh, Reporter
 from kinetix_dist.runtime.driver.run_directory import EVALUATIONS, PROCESSES, RunDirectory
 from kinetix_dist.runtime.driver.run_files import LineFile, SinkEvents, SnapshotSink, UnfinishedSnapshot
 from kinetix_dist.telemetry.curriculum_log import (
-    ALL_EPISODES_FORMAT,
     BUFFER,
     OUTCOMES,
     OUTCOMES_FORMAT,
@@ -238,9 +237,11 @@ class OutcomeWindow:
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
         """Starts as a checkpoint says, taken after so many updates; empty where both are."""
-        self._from_update: int = description.get("outcomes_from", num_updates)
+        counts = select_arrays(arrays, WINDOW)
+        is_open = "attempts" in counts
+        self._from_update: int = description.get("outcomes_from", num_updates) if is_open else num_updates
         self._buffer: int | None = description.get("outcomes_buffer")
-        self._counts = {name: array.astype(np.int64) for name, array in select_arrays(arrays, WINDOW).items()}
+        self._counts = {name: array.astype(np.int64) for name, array in counts.items()} if is_open else {}
 
     def add(self, num_updates: int, attempts: Counts, buffer: int | None) -> list[dict[str, Any]]:
         """Takes the counts of the update that led to `num_updates`; lines of windows that are over.
@@ -260,8 +261,7 @@ class OutcomeWindow:
         """The line of what is there after so many updates, if there is any; the next window begins."""
         if not self._counts:
             return []
-        line_format = ALL_EPISODES_FORMAT if "finished" in self._counts else OUTCOMES_FORMAT
-        line = {"format": line_format, "update": num_updates, "from_update": self._from_update}
+        line = {"format": OUTCOMES_FORMAT, "update": num_updates, "from_update": self._from_update}
         if self._buffer is not None:
             line["buffer"] = self._buffer
         num_sources = len(self._sources)

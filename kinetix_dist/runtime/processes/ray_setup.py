@@ -160,7 +160,6 @@ def job_of_this_import_path() -> JobConfig:
 
     Without it Ray puts the current directory of the driver first, where another checkout or a jax.py may lie. Python's
     own directories, and those of its installed packages, are left to the Python of each node, which may lie elsewhere.
-
     """
     from ray.job_config import JobConfig
 

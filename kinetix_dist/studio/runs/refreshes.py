@@ -10,7 +10,7 @@ twice or more often (`evaluation/learnability.py`).
 Training counts attempts, the first episode of each world in an update: independent, each solved with the chance p of
 its level. Episodes that scored a level are all that one world finished: solved / finished has the mean p for one level,
 but not for the sums of many levels, since levels of short episodes count more often. So rates of scored levels are means
-over levels. Lines of outcomes.jsonl of earlier versions count all episodes; `of_all_episodes` is then true.
+over levels.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from kinetix_dist.studio.runs import run_files
 from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
 from kinetix_dist.telemetry.curriculum_log import (
-    ALL_EPISODES_FORMAT,
     BUFFER,
     REFRESH,
     Snapshot,
@@ -51,37 +50,23 @@ class Plays:
     attempts: np.ndarray
     from_update: int
     update: int
-    of_all_episodes: bool  # counts of an earlier version: all episodes that ended
 
 
 def training_plays(outcomes: Iterable[Mapping[str, Any]]) -> dict[int, Plays]:
-    """Sums of the windows of each buffer, by policy version.
-
-    Windows of another length than before are left out, and those that count all episodes where others count attempts.
-    """
+    """Sums of the windows of each buffer, by policy version; windows of another length than before are left out."""
     plays: dict[int, Plays] = {}
     for row in outcomes:
         if not isinstance(row.get("buffer"), int) or "solved" not in row:
             continue
-        solved, attempts = (np.asarray(counts, np.int64) for counts in (row["solved"], row[tries_of(row)]))
-        window = Plays(solved, attempts, row["from_update"], row["update"], is_of_all_episodes(row))
+        solved, attempts = (np.asarray(counts, np.int64) for counts in (row["solved"], row["attempts"]))
+        window = Plays(solved, attempts, row["from_update"], row["update"])
         found = plays.get(row["buffer"])
-        if found is None or (found.of_all_episodes and not window.of_all_episodes):
+        if found is None:
             plays[row["buffer"]] = window
-        elif found.solved.shape == solved.shape and found.of_all_episodes == window.of_all_episodes:
+        elif found.solved.shape == solved.shape:
             found.solved, found.attempts = found.solved + solved, found.attempts + attempts
             found.update = row["update"]
     return plays
-
-
-def is_of_all_episodes(row: Mapping[str, Any]) -> bool:
-    """True where a line of outcomes.jsonl counts all episodes that ended, as earlier versions did."""
-    return row["format"] == ALL_EPISODES_FORMAT
-
-
-def tries_of(row: Mapping[str, Any]) -> str:
-    """Name of the denominator of solved episodes in a line of outcomes.jsonl."""
-    return "finished" if is_of_all_episodes(row) else "attempts"
 
 
 def counts_table(solved: np.ndarray, finished: np.ndarray) -> list[list[int]]:
@@ -212,7 +197,6 @@ def describe_training(plays: Plays) -> dict[str, Any]:
         "histogram": histogram_of_p(plays.solved, plays.attempts),
         "from_update": plays.from_update,
         "update": plays.update,
-        "of_all_episodes": plays.of_all_episodes,
     }
 
 
@@ -329,19 +313,14 @@ class Refreshes:
 
 
 def _describe_window(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Window {from_update, update, sources: {name: rate}, of_all_episodes}.
-
-    `buffer` is the source of levels that the window lists.
-    """
-    tries = tries_of(row)
-    sources = {name: rate(counts["solved"], counts[tries]) for name, counts in row["sources"].items()}
+    """Window {from_update, update, sources: {name: rate}}; `buffer` is the source of levels that the window lists."""
+    sources = {name: rate(counts["solved"], counts["attempts"]) for name, counts in row["sources"].items()}
     if "solved" in row:
-        sources = {"buffer": rate(sum(row["solved"]), sum(row[tries]))} | sources
+        sources = {"buffer": rate(sum(row["solved"]), sum(row["attempts"]))} | sources
     return {
         "from_update": row["from_update"],
         "update": row["update"],
         "sources": sources,
-        "of_all_episodes": is_of_all_episodes(row),
     }
 
 
@@ -349,14 +328,13 @@ def _is_window(row: dict[str, Any]) -> bool:
     """True for a line with all fields that are read; other lines count as damaged."""
     if not is_outcomes(row) or not isinstance(row.get("from_update"), int):
         return False
-    tries = tries_of(row)
-    counts = [row.get("solved", []), row.get(tries, [])]
+    counts = [row.get("solved", []), row.get("attempts", [])]
     if not all(isinstance(values, list) and all(isinstance(v, int) for v in values) for values in counts):
         return False
     sources = row["sources"].values()
     if not all(isinstance(source, dict) for source in sources):
         return False
-    pairs = [*zip(*counts, strict=False), *((source.get("solved"), source.get(tries)) for source in sources)]
+    pairs = [*zip(*counts, strict=False), *((source.get("solved"), source.get("attempts")) for source in sources)]
     return len(counts[0]) == len(counts[1]) and all(
         isinstance(solved, int) and isinstance(tried, int) and 0 <= solved <= tried for solved, tried in pairs
     )

@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.studio.runs.refreshes import Plays, is_of_all_episodes, rate, tries_of
+from kinetix_dist.studio.runs.refreshes import Plays, rate
 from kinetix_dist.telemetry.curriculum_log import REFRESH, Snapshot
 
-# Keys that levels are sorted by, besides features; a snapshot lacks some.
-SORTS = ("place", "score", "p", "p_training", "attempts_training")
 _FILTER = re.compile(r"(\w+)\s*(<=|>=|=|<|>)\s*(-?\d+(?:\.\d+)?)")
 _COMPARE = {"<": np.less, "<=": np.less_equal, "=": np.equal, ">=": np.greater_equal, ">": np.greater}
 
@@ -92,9 +90,7 @@ def _describe(snapshot: Snapshot, plays: Plays | None, index: int) -> dict[str, 
     if "solved" in arrays:
         described["scored"] = rate(arrays["solved"][index], arrays["finished"][index])
     if plays is not None and len(plays.solved) == len(arrays["level_id"]):
-        described["training"] = rate(plays.solved[index], plays.attempts[index]) | {
-            "of_all_episodes": plays.of_all_episodes
-        }
+        described["training"] = rate(plays.solved[index], plays.attempts[index])
     for name in ("born", "last_played", "place"):
         if name in arrays:
             described[name] = int(arrays[name][index])
@@ -111,7 +107,7 @@ def level_history(
     """History {id, snapshots, windows, played_again} of level `index` of snapshot (kind, number).
 
     snapshots: where the level is, oldest first: {kind, number, index, update, score, scored (rate or absent)}.
-    windows: {from_update, update, of_all_episodes, solved, episodes, rate, low, high} of training, only those that
+    windows: {from_update, update, solved, episodes, rate, low, high} of training, only those that
     played it. played_again: rates by the policy of a later refresh, {policy_version, solved, ...}.
     Raises KeyError for a snapshot that is not there, IndexError for a level that it does not have.
     """
@@ -130,7 +126,6 @@ def level_history(
             {
                 "from_update": window["from_update"],
                 "update": window["update"],
-                "of_all_episodes": is_of_all_episodes(window),
                 **counts,
             }
             for window in windows
@@ -160,10 +155,10 @@ def _plays_in(window: Mapping[str, Any], rows_of: Mapping[int, int]) -> dict[str
     row = rows_of.get(window["buffer"]) if isinstance(window.get("buffer"), int) else None
     if row is None:
         return None
-    tries = window[tries_of(window)]
-    if row >= len(tries) or not tries[row]:
+    attempts = window["attempts"]
+    if row >= len(attempts) or not attempts[row]:
         return None
-    return rate(window["solved"][row], tries[row])
+    return rate(window["solved"][row], attempts[row])
 
 
 def _played_again(snapshot: Snapshot, rows_of: Mapping[int, int]) -> dict[str, Any] | None:

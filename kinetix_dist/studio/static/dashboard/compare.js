@@ -5,7 +5,6 @@ import { smooth } from "../base/format.js";
 import { html } from "../base/html.js";
 import { LineChart } from "../charts/line_chart.js";
 import { Panel } from "../charts/panel.js";
-import { ALL_EPISODES, OF_EPISODES } from "./metric_panels.js";
 import { Notes } from "./parts.js";
 import { useView, ViewBar, zoom } from "./view.js";
 
@@ -26,12 +25,8 @@ export function ComparePage() {
   const runs = chosen.split(",").filter(Boolean);
   const toggle = (/** @type {string} */ id) =>
     setQuery({ runs: (runs.includes(id) ? runs.filter((other) => other !== id) : [...runs, id]).join(",") });
-  const old = OF_EPISODES.some((name) => metric.startsWith(name))
-    ? (all.data?.runs ?? []).filter((/** @type {any} */ run) => runs.includes(run.id) && run.last && !("train/attempts" in run.last))
-    : [];
-  const difference = old.length ? `${metric} of ${old.map((/** @type {any} */ run) => run.id).join(", ")} is ${ALL_EPISODES}` : null;
   return html`<main>
-    <${Notes} notes=${[all.error, error, difference, ...(data?.problems ?? [])].filter(Boolean)} />
+    <${Notes} notes=${[all.error, error, ...(data?.problems ?? [])].filter(Boolean)} />
     <details open=${!runs.length}><summary>${runs.length} runs are compared</summary><div class="row">
       ${(all.data?.runs ?? []).map((/** @type {any} */ run) => html`<label key=${run.id}><input type="checkbox" checked=${runs.includes(run.id)} onChange=${() => toggle(run.id)} /> ${run.id}</label>`)}
     </div></details>

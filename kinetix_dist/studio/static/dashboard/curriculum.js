@@ -7,7 +7,6 @@ import { Bars } from "../charts/bars.js";
 import { HeatMap } from "../charts/heat_map.js";
 import { LineChart } from "../charts/line_chart.js";
 import { Panel } from "../charts/panel.js";
-import { ALL_EPISODES } from "./metric_panels.js";
 import { Notes } from "./parts.js";
 import { useRunChanges } from "./run_changes.js";
 
@@ -55,13 +54,12 @@ function Sources({ run, windows }) {
   const x = windows.map((row) => row.update);
   const of = (/** @type {string} */ name, /** @type {string} */ field) => windows.map((row) => (row.sources[name]?.episodes ? row.sources[name][field] : null));
   const lines = names.map((name) => ({ label: name, values: of(name, "rate"), low: of(name, "low"), high: of(name, "high") }));
-  const rows = () => [["from_update", "update", "source", "solved", "episodes", "rate", "low", "high", "of_all_episodes"],
-    ...windows.flatMap((row) => Object.entries(row.sources).map(([name, c]) => [row.from_update, row.update, name, c.solved, c.episodes, c.rate, c.low, c.high, row.of_all_episodes]))];
+  const rows = () => [["from_update", "update", "source", "solved", "episodes", "rate", "low", "high"],
+    ...windows.flatMap((row) => Object.entries(row.sources).map(([name, c]) => [row.from_update, row.update, name, c.solved, c.episodes, c.rate, c.low, c.high]))];
   const last = windows.at(-1);
   return html`<${Panel} title="Solve rate in training, by where levels come from" help="attempts: the first episode of each world in an update; 95 % intervals of each window" rows=${rows} name=${`${run} sources`} missing=${windows.length ? null : NO_OUTCOMES}>
     <${LineChart} x=${x} lines=${lines} axis="updates" />
     <p class="soft">${last ? `updates ${last.from_update} to ${last.update}: ${Object.entries(last.sources).map(([name, c]) => `${name} ${rateWithCount(c.solved, c.episodes)}`).join(" · ")}` : ""}</p>
-    ${windows.some((row) => row.of_all_episodes) ? html`<p class="soft">Counts are ${ALL_EPISODES}.</p>` : null}
   </${Panel}>`;
 }
 
@@ -79,13 +77,12 @@ function Learnability({ run, refreshes }) {
     { label: "fresh levels: all candidates", values: fresh, low: around(fresh, freshError, -1), high: around(fresh, freshError, 1) },
   ];
   const last = refreshes.findLast((entry) => entry.training);
-  const rows = () => [["version", "in_use_from", "claimed_buffer", "episodes", "fresh", "fresh_standard_error", "training", "standard_error", "levels_played_twice", "attempts_in_training", "of_all_episodes"],
-    ...refreshes.map((entry) => [entry.number, entry.first_batch, entry.buffer.claimed, entry.buffer.episodes, entry.candidates.learnability, entry.candidates.learnability_error, entry.training?.learnability ?? null, entry.training?.learnability_error ?? null, entry.training?.learnability_levels ?? null, entry.training?.episodes ?? null, entry.training?.of_all_episodes ?? null])];
+  const rows = () => [["version", "in_use_from", "claimed_buffer", "episodes", "fresh", "fresh_standard_error", "training", "standard_error", "levels_played_twice", "attempts_in_training"],
+    ...refreshes.map((entry) => [entry.number, entry.first_batch, entry.buffer.claimed, entry.buffer.episodes, entry.candidates.learnability, entry.candidates.learnability_error, entry.training?.learnability ?? null, entry.training?.learnability_error ?? null, entry.training?.learnability_levels ?? null, entry.training?.episodes ?? null])];
   return html`<${Panel} title="Learnability p (1 - p): claimed and in training" rows=${rows} name=${`${run} learnability`}
     help="Claimed: from the few episodes by which levels were chosen, so too high. In training: s (f - s) / (f (f - 1)) of s solved of f attempts, over levels played twice or more. Fresh levels: the same of all candidates, where each finished two episodes or more. Bands 95 %.">
     <${LineChart} x=${x} lines=${lines} axis="in use from update" />
     <p class="soft">${last ? `version ${last.number}: claimed ${short(last.buffer.claimed)} (${last.buffer.episodes} episodes of ${last.buffer.levels} levels), in training ${short(last.training.learnability)} (${last.training.episodes} attempts, ${last.training.learnability_levels} levels played twice or more)` : "No buffer was played to the end of a window yet."}</p>
-    ${refreshes.some((entry) => entry.training?.of_all_episodes) ? html`<p class="soft">Counts are ${ALL_EPISODES}.</p>` : null}
   </${Panel}>`;
 }
 

@@ -19,7 +19,7 @@ export function LevelDrawer({ run, snapshot, level, picture, changes }) {
   /** @type {[string, any][]} */
   const facts = [["id", level.id], ["place", level.index], ["score", short(level.score)]];
   if (level.scored) facts.push(["when it was scored", counted(level.scored)]);
-  if (level.training) facts.push(["in training", level.training.episodes ? `${counted(level.training)}${level.training.of_all_episodes ? ", of all episodes (an older version)" : ""}` : "not played"]);
+  if (level.training) facts.push(["in training", level.training.episodes ? `${counted(level.training)}` : "not played"]);
   if (level.born !== undefined) facts.push(["came in batch", level.born], ["last played in batch", level.last_played]);
   return html`<aside class="panel drawer" data-panel="level"><header><h3>Level ${level.index} of ${snapshot.kind} ${snapshot.number}</h3>
       <span class="buttons"><button onClick=${() => setQuery({ level: null })} aria-label="close">✕</button></span></header>
@@ -40,7 +40,7 @@ function History({ own, changes }) {
   /** @type {{ update: number, what: string, counts: any }[]} */
   const rows = [
     ...data.snapshots.map((/** @type {any} */ one) => ({ update: one.update, what: one.scored ? `scored, refresh ${one.number}` : `in ${one.kind} ${one.number}, score ${short(one.score)}`, counts: one.scored })),
-    ...data.windows.map((/** @type {any} */ one) => ({ update: one.update, what: `trained on, updates ${one.from_update} to ${one.update}${one.of_all_episodes ? ", all episodes" : ""}`, counts: one })),
+    ...data.windows.map((/** @type {any} */ one) => ({ update: one.update, what: `trained on, updates ${one.from_update} to ${one.update}`, counts: one })),
     ...data.played_again.map((/** @type {any} */ one) => ({ update: one.policy_version, what: `played again by version ${one.policy_version}`, counts: one })),
   ].sort((a, b) => a.update - b.update);
   const of = (/** @type {string} */ field) => data.windows.map((/** @type {any} */ one) => one[field]);

@@ -1,19 +1,14 @@
-// Which metrics stand together in a panel of the overview. Units and meanings come from the server.
+// Panels of the overview with their metrics. Units and meanings come from the server.
 
 /** @typedef {{ title: string, names: string[], help?: string, stacked?: boolean, wide?: boolean }} MetricPanel */
 
-/** Of a run without `train/attempts`. */
-export const ALL_EPISODES = "of an older version: of all episodes that ended, those of short ones more often, so that rates are too high where solved episodes are the shorter ones";
 const ROLES = ["worker", "learner", "rollout", "curator", "evaluator"];
-
-/** What such a run counts so: these, and the same by size. */
-export const OF_EPISODES = ["train/solve_rate", "train/failed_rate", "train/mean_return"];
 
 /** @type {MetricPanel[]} */
 export const PANELS = [
   { title: "Training episodes", names: ["train/solve_rate", "train/failed_rate"], help: "first episodes on buffer and fresh levels together; the page Curriculum splits them" },
   { title: "Return", names: ["train/mean_return"] },
-  { title: "Speed", names: ["progress/env_steps_per_second"], help: "env steps a second, everything included" },
+  { title: "Speed", names: ["progress/env_steps_per_second"], help: "env steps per second, everything included" },
   { title: "Level buffer", names: ["curriculum/learnability", "curriculum/solve_rate", "curriculum/learnable_share", "curriculum/mean_candidate_score"] },
   { title: "Age of the buffer", names: ["curriculum/buffer_age"] },
   { title: "Replay buffer", names: ["curriculum/replay_score", "curriculum/filled_share"] },
@@ -41,11 +36,9 @@ export const PANELS = [
 /** The panels that a run has data for, and its other metrics. @param {string[]} names */
 export function panelsOf(names) {
   const there = new Set(names);
-  const isOld = !there.has("train/attempts");
   const panels = PANELS.map((panel) => ({
     ...panel,
     names: panel.names.filter((name) => there.has(name)),
-    help: isOld && OF_EPISODES.includes(panel.names[0]) ? ALL_EPISODES : panel.help,
   }));
   const used = new Set(panels.flatMap((panel) => panel.names));
   const others = names.filter((name) => !used.has(name) && !/^(evaluation|progress)\//.test(name));

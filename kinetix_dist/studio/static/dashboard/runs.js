@@ -1,9 +1,8 @@
-// All runs: how each is, how far, how well; chosen ones go to the comparison.
+// Table of runs with state, progress and solve rates; chosen ones go to the comparison.
 import { addressOf } from "../base/address.js";
 import { get } from "../base/api.js";
 import { date, interval, percent, short } from "../base/format.js";
 import { html, useEffect, useState } from "../base/html.js";
-import { ALL_EPISODES } from "./metric_panels.js";
 import { Notes, State } from "./parts.js";
 
 const REFRESH_MS = 5000;
@@ -72,7 +71,7 @@ function trained(last) {
   const rate = last?.["train/solve_rate"];
   if (rate === undefined || rate === null) return "-";
   const attempts = last["train/attempts"];
-  return attempts ? `${percent(rate)} of ${short(attempts)}` : html`<span title=${ALL_EPISODES}>${percent(rate)} of ${short(last["train/episodes"])} *</span>`;
+  return attempts ? `${percent(rate)} of ${short(attempts)}` : percent(rate);
 }
 
 /** @param {any} rates */
