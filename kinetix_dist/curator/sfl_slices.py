@@ -29,7 +29,7 @@ from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.curator.halving import Attempts, Halving
-from kinetix_dist.curator.level_buffer import Candidates, LevelBuffer, Scored, keep_best, refresh_log
+from kinetix_dist.curator.level_buffer import Candidates, LevelBuffer, Scored, keep_best, refresh_log, scored
 from kinetix_dist.curator.scores import learnability
 from kinetix_dist.curator.slice_buffer import (
     SliceBuffer,

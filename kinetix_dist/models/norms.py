@@ -58,12 +58,12 @@ def _normalise_backward(residuals: tuple[Array, Array], grad: Array) -> tuple[Ar
     return (_as(grad, _grad_of_rows(residuals, grad)),)
 
 
-def _beside_norm_forward(x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def _norm_branch_forward(x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     normal, residuals = _normalise_forward(x)
     return (x, normal), residuals
 
 
-def _beside_norm_backward(residuals: tuple[Array, Array], grads: tuple[Array, Array]) -> tuple[Array]:
+def _norm_branch_backward(residuals: tuple[Array, Array], grads: tuple[Array, Array]) -> tuple[Array]:
     of_stream, of_norm = grads
     return (_as(of_stream, _stored_rows(of_stream) + _grad_of_rows(residuals, of_norm)),)
 
@@ -87,4 +87,4 @@ def _as(like: Array, rows: Array) -> Array:
 
 
 normalise.defvjp(_normalise_forward, _normalise_backward)
-norm_branch.defvjp(_beside_norm_forward, _beside_norm_backward)
+norm_branch.defvjp(_norm_branch_forward, _norm_branch_backward)
