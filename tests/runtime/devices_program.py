@@ -23,7 +23,7 @@ from kinetix_dist.runtime.cores.worker import Worker
 from tests.runtime.runs import tiny_config
 
 NUM_UPDATES = 2
-PLUGINS = ("tests.runtime.fake_curriculum",)
+PLUGINS = ("examples.own_curriculum",)
 CURRICULA = {
     "most_failed": CurriculumConfig(name="most_failed", levels="designed_s"),
     "paired": CurriculumConfig(name="paired", paired=PairedConfig(hidden_size=16, epochs=2)),
