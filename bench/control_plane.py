@@ -4,7 +4,7 @@
     python -m bench.control_plane --processes 4 16 64 --learns                  # a dry run: all form one JAX world
 
 Processes are the Ray actors of a run on one machine with a core that computes nothing, or that takes a gradient step
-of a tiny network together with all others: seconds to start all, to ask all of them once as an update does (a call
+of a tiny network together with all others: seconds to start all, to call all of them once as an update does (a call
 each, all answers awaited), and what memory they take. CPU seconds are those of the driver and of Ray, without the
 processes themselves: where these share a few cores with each other, the time of an update is mostly theirs. A number
 that memory does not hold is left out, and its record says so.
@@ -25,7 +25,7 @@ from bench.program import exit_code, output_file, parser_of, report_each
 from kinetix_dist.errors import UserError
 
 ROUNDS = 50  # of calls; the median counts
-BYTES_A_PROCESS = 160 << 20  # its own, an estimate, to leave out what would not fit
+BYTES_PER_PROCESS = 160 << 20  # its own, an estimate, to leave out what would not fit
 HIDDEN = 64  # units of the tiny network
 ON_CPU = {"JAX_PLATFORMS": "cpu"}
 
@@ -84,9 +84,9 @@ def measure(count: int, *, learns: bool = False) -> dict[str, object]:
     record: dict[str, object] = {"benchmark": "control_plane", "processes": count, "learns": learns}
     record |= {"cores": psutil.cpu_count(), "load": [round(value, 1) for value in os.getloadavg()]}
     available = psutil.virtual_memory().available
-    if available < count * BYTES_A_PROCESS:
+    if available < count * BYTES_PER_PROCESS:
         return record | {
-            "left_out": f"{available >> 20} MiB of memory are free, about {BYTES_A_PROCESS >> 20} a process"
+            "left_out": f"{available >> 20} MiB of memory are free, about {BYTES_PER_PROCESS >> 20} a process"
         }
     backend = RayBackend(heartbeat_seconds=600.0, modules=MODULES)  # as a run does
     try:
@@ -108,8 +108,8 @@ def measure(count: int, *, learns: bool = False) -> dict[str, object]:
             "update_milliseconds": round(1e3 * statistics.median(rounds), 3),
             "update_milliseconds_slowest": round(1e3 * max(rounds[1:]), 3),
             "control_cpu_milliseconds": round(1e3 * cpu / ROUNDS, 3),
-            "resident_mib_a_process": round(statistics.mean(one.rss for one in memory) / (1 << 20), 1),
-            "own_mib_a_process": round(statistics.mean(one.uss for one in memory) / (1 << 20), 1),
+            "resident_mib_per_process": round(statistics.mean(one.rss for one in memory) / (1 << 20), 1),
+            "own_mib_per_process": round(statistics.mean(one.uss for one in memory) / (1 << 20), 1),
         }
     finally:
         backend.stop()

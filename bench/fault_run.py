@@ -1,7 +1,7 @@
 """A real `kinetix-dist train` that test-faults end parts of: its command, its processes, and what it leaves behind.
 
 Used by `bench.fault_tests` and `bench.recovery`. Ray processes are real ones; the recipe is `tiny` and the device the
-CPU, unless another is asked for.
+CPU, unless another is given.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class FaultRun:
     _cpu: dict[tuple[int, float], float] = dataclasses.field(default_factory=dict)  # (pid, began) -> CPU seconds
 
     def start(self, *options: str, resume: bool = False) -> None:
-        """Begins the command; its words go to files beside the run directory."""
+        """Begins the command; its words go to files next to the run directory."""
         command = command_of("kinetix_dist.cli.main", "train", "--run", self.path)
         if resume:
             command += ["--resume"]
@@ -215,7 +215,7 @@ class FaultRun:
 
 
 def shared_memory() -> set[str]:
-    """Names of files in /dev/shm that no process has open or mapped: nobody will remove them."""
+    """Names of files in /dev/shm that no process has open or mapped: no process will remove them."""
     names = {path.name for path in SHARED_MEMORY.iterdir()}
     return {name for name in names if not _is_held(SHARED_MEMORY / name)} if names else set()
 

@@ -4,7 +4,7 @@
     python -m bench.fault_tests --every 30 --seconds 600 --placement split
 
 When the faults are over the run is stopped by SIGTERM and resumed for one more update, the last. The same is run
-without a fault, told only from which updates on buffers were used (adoptions.json). Exit code 1, and the record's
+without a fault that is given adoptions.json. Exit code 1, and the record's
 "wrong" says what, unless both have the same bits, every update has one row, no command wrote a traceback, and no
 process, shared memory or draft of a checkpoint is left.
 """

@@ -2,9 +2,9 @@
 
     python -m bench.frontier_sets --policies generalist runs/s runs/m --json levels/frontier_sets.json
 
-Levels of a stream are looked at in its order. One is kept when random actions solve it in fewer than 20 % of 64
+Levels of a stream are played in its order. One is chosen when random actions solve it in fewer than 20 % of 64
 attempts, doing nothing does not solve it, and at least one of the policies solves it in 64 attempts. A size ends at
-512 levels, or when 20,000 were looked at. Sizes that are in the file already are kept as they are.
+512 levels, or when 20,000 were played. Sizes in the file stay as they are.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
-from kinetix_dist.finetune.starts import policy_at
+from kinetix_dist.finetune.specialists import policy_at
 from kinetix_dist.level.fingerprints import fingerprint
 from kinetix_dist.level.frontier import (
     MAX_RANDOM_RATE,
@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
         known = read_frontier_sets(arguments.json) if arguments.json.is_file() else {}
     for size in arguments.sizes:
         if size in known:
-            print(f"{size}: kept as it is in {arguments.json}")
+            print(f"{size}: stays as it is in {arguments.json}")
             continue
         made = choose(size, policies, arguments)
         if not made.indices:

@@ -9,7 +9,7 @@ on GPUs one process a GPU. Each record has wall seconds, the seconds of the
 run's own event, CPU seconds of all processes of the run in that time, and the load of the machine: on a machine that
 others use, CPU seconds divided by the cores are what it would take alone.
 
-The last record of a placement tells whether programs were found in the cache (compile seconds of every process, by
+The last record of a placement says whether programs were found in the cache (compile seconds of every process, by
 start: the first is cold where the cache was; files that came to the cache after the first start), what the GPUs held
 before, while and after the run, and what is left of it. Exit code 1 where something is, or where a recovery did not
 come; a table of all comes last.
@@ -136,12 +136,12 @@ def _recovery(run: FaultRun, lost: str) -> dict[str, Any]:
     else:
         run.wait(lambda: len(run.events("process_started")) > num_started and run.wait_for_update() > 0, "a new update")
     seconds = time.monotonic() - began
-    told = run.events("recovered", role=lost)[num_recovered:]
+    recovered = run.events("recovered", role=lost)[num_recovered:]
     return {
         "lost": lost,
         "at_update": reached,
         "seconds": round(seconds, 2),
-        "told_seconds": told[-1]["seconds"] if told else None,  # by the run's event
+        "event_seconds": recovered[-1]["seconds"] if recovered else None,  # by the run's event
         "cpu_seconds": round(run.cpu_now() - cpu, 2),
         **before,
     }
@@ -199,10 +199,10 @@ def run(options: argparse.Namespace) -> int:
 
 def table(records: list[dict[str, Any]]) -> str:
     """Table of all losses, and what each run left."""
-    lines = [f"{'placement':10} {'lost':26} {'wall s':>8} {'told s':>8} {'CPU s':>8}"]
+    lines = [f"{'placement':10} {'lost':26} {'wall s':>8} {'event s':>8} {'CPU s':>8}"]
     for record in records:
         if "seconds" in record:
-            figures = [record.get(name) for name in ("seconds", "told_seconds", "cpu_seconds")]
+            figures = [record.get(name) for name in ("seconds", "event_seconds", "cpu_seconds")]
             cells = " ".join(f"{'' if figure is None else format(figure, '.1f'):>8}" for figure in figures)
             lines.append(f"{record['placement']:10} {record['lost']:26} {cells}")
         else:

@@ -2,7 +2,7 @@
 
     python -m bench.set_fingerprints --json levels/fingerprints.json
 
-Sets that the file has are kept as they are; whoever changes a set on purpose takes its line out. Those of frontier sets
+Sets in the file stay as they are; to change a set on purpose, remove its line. Those of frontier sets
 are in their own file, which `bench.frontier_sets` writes.
 """
 
@@ -24,7 +24,7 @@ def run(file: Path) -> int:
     known = json.loads(file.read_text()) if file.is_file() else {}
     for name in (*RANDOM_SETS, *VARIED_SETS):
         if name in known:
-            print(f"{name}: kept as it is in {file}")
+            print(f"{name}: stays as it is in {file}")
             continue
         levels, _ = load_level_set(name, num_levels=NUM_CHECKED)
         known[name] = fingerprint(levels)

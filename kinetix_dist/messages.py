@@ -58,7 +58,6 @@ class LevelOutcome:
     """Outcome of each level, world by world: its first episode, and sums over all episodes that finished.
 
     Over many worlds count first episodes (`actors/outcomes.py`): a world whose episodes end early finishes more.
-
     """
 
     first_solved: Array  # [W] int32, 1 where the first episode ended and was solved: green touched blue

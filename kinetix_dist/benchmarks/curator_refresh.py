@@ -89,7 +89,7 @@ def measure(options: Options, results: Results) -> None:
         results.add(dataclasses.asdict(record))
         results.report(
             f"  size {size.upper()} on {record.device}: {record.num_candidates:,} candidates in "
-            f"{record.refresh_seconds:.3g} s, {record.candidates_per_second:,.0f} a second"
+            f"{record.refresh_seconds:.3g} s, {record.candidates_per_second:,.0f} per second"
             f"{'' if record.probe_seconds is None else f', a probe {record.probe_seconds:.3g} s'}; an update takes "
             f"{record.update_seconds:.3g} s, so that a refresh every {record.refresh_every} updates is "
             f"{record.share_of_training_time:.1%} of the time"

@@ -89,7 +89,7 @@ def table(records: list[Record], flags: Any) -> list[str]:
     full = next(r["us_per_world_step"] for r in records if (r["effect"], r["engine"]) == (AS_THEY_ARE, "full"))
     found = {(r["effect"], r["engine"]): r["relative_to_full"] for r in records}
     shares = np.asarray(flags).mean(axis=0)
-    lines = [f"  {'full engine, levels as they are':<36} {full:7.3f} us a world and step"]
+    lines = [f"  {'full engine, levels as they are':<36} {full:7.3f} us per world and step"]
     lines += [
         f"  {what:<36} {found[key]:7.1%}"
         for what, key in {

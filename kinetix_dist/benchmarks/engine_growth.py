@@ -1,7 +1,7 @@
 """`bench engine growth`: growth of time and memory with the number of worlds and of shapes.
 
     worlds   levels of each size, 1, 10, ... 1 M worlds: world i goes on from a level at one of 16 moments of an episode
-    shapes   4 ... 512 shapes a world, in a row on one floor, on many platforms, in a heap (growth_scenes.py), settled
+    shapes   4 ... 512 shapes per world, in a row on one floor, on many platforms, in a heap (growth_scenes.py), settled
 
 One record (`Point`) is the median of `repeats` runs from the same start, after one that compiles. A run has as many
 physics steps as fit a quarter of a second, 2 at least and 128 at most. A point that does not fit `point_seconds`, or
@@ -55,7 +55,7 @@ class Options(EngineOptions):
     backend: str = "warp"
     """Backend of the engine."""
     shapes: tuple[int, ...] = (4, 8, 16, 32, 64, 128, 256, 512)
-    """Numbers of shapes a world, of the sweep over shapes."""
+    """Numbers of shapes per world, of the sweep over shapes."""
     point_seconds: float = 60.0
     """Points that would take longer are left out."""
 
@@ -97,7 +97,7 @@ def measure(options: Options, results: Results) -> None:
         results.add(dataclasses.asdict(point))
     for name, power in exponents(results.records).items():
         results.report(
-            f"{name}: time a world-step grows as shapes to the power {power:.2f} from {FITTED_FROM_SHAPES} shapes on"
+            f"{name}: time per world-step grows as shapes to the power {power:.2f} from {FITTED_FROM_SHAPES} shapes on"
         )
     if results.file is not None:
         results.file.with_suffix(".md").write_text(tables(results.records))
@@ -138,7 +138,7 @@ class _Sweep:
     size: str | None = None
 
     def points(self, numbers_of_worlds: Sequence[int], expected: float | None = None) -> Iterator[Point]:
-        """Measures from few worlds to many; what a point took (us a world-step) tells how long the next may take."""
+        """Measures from few worlds to many; what a point took (us per world-step) tells how long the next may take."""
         unmeasured = self._unmeasured()
         for worlds in numbers_of_worlds:
             point = dataclasses.replace(unmeasured, worlds=worlds)

@@ -1,4 +1,4 @@
-"""`bench engine speed`: physics steps a second of many worlds under random actions, next to the published engine.
+"""`bench engine speed`: physics steps per second of many worlds under random actions, next to the published engine.
 
     levels (public files, or drawn at random) -> worlds: world i plays level i modulo the number of levels
     one run    = `steps` physics steps of all worlds in a lax.scan; actions drawn in it, each held for 2 steps
@@ -54,7 +54,7 @@ PEER_MAX_WORLDS_GPU = {"s": 131072, "m": 131072, "l": 32768}
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options(EngineOptions):
-    """Physics steps a second of the engine alone, under random actions."""
+    """Physics steps per second of the engine alone, under random actions."""
 
     presets: tuple[str, ...] = ("standard", "paper")
     """Settings of our engine. The published engine has one solver, the paper's."""

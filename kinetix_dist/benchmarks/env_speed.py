@@ -1,4 +1,4 @@
-"""`bench env`: environment steps a second of each observation and size, under random actions.
+"""`bench env`: environment steps per second of each observation and size, under random actions.
 
     levels (designed ones of the size) -> worlds: world i plays level i modulo the number of levels
     one run    = `steps` environment steps of all worlds in a lax.scan: actions drawn at random, `Environment.step` with
@@ -40,7 +40,7 @@ NONE = "none"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options:
-    """Environment steps a second of each observation and size, under random actions."""
+    """Environment steps per second of each observation and size, under random actions."""
 
     sizes: tuple[str, ...] = tuple(SIZES)
     """Sizes of levels."""

@@ -39,7 +39,7 @@ EMPTY = "left out"
 
 
 def tables(records: Records) -> str:
-    """Physics steps a second over worlds; time over shapes; memory."""
+    """Physics steps per second over worlds; time over shapes; memory."""
     over_worlds = [record for record in records if record["swept"] == "worlds"]
     over_shapes = [record for record in records if record["swept"] == "shapes"]
     return "\n\n".join([_over_worlds(over_worlds), _over_shapes(over_shapes), _memory(records)]) + "\n"
@@ -66,7 +66,7 @@ def _over_shapes(records: Records) -> str:
             *(f"{powers[scene]:.2f}" if scene in powers else "" for scene in SCENES),
         ]
     )
-    return _markdown(["shapes a world", *(f"{scene}, us a world-step (contacts)" for scene in SCENES)], rows)
+    return _markdown(["shapes per world", *(f"{scene}, us per world-step (contacts)" for scene in SCENES)], rows)
 
 
 def _memory(records: Records) -> str:
@@ -82,7 +82,7 @@ def _memory(records: Records) -> str:
         ]
         for name, record in names.items()
     ]
-    return _markdown(["shapes", "scene, KiB a world", "state", "out", "local memory of a GPU thread, KiB"], rows)
+    return _markdown(["shapes", "scene, KiB per world", "state", "out", "local memory of a GPU thread, KiB"], rows)
 
 
 def _first(records: Records, cell: Callable[[Record], str], wanted: Record) -> str:
@@ -141,7 +141,7 @@ def _draw_over_worlds(panel: Any, records: Records) -> None:
     _draw_lines(
         panel, records, by="size", x="worlds", y="physics_steps_per_second", label=lambda size: f"levels {size.upper()}"
     )
-    panel.set_title("physics steps a second, all worlds")
+    panel.set_title("physics steps per second, all worlds")
     panel.set_xlabel("worlds")
 
 
@@ -152,8 +152,8 @@ def _draw_over_shapes(panel: Any, records: Records) -> None:
         return f"{scene}, power {powers[scene]:.2f}" if scene in powers else scene
 
     _draw_lines(panel, records, by="scene", x="shapes", y="us_per_world_step", label=label)
-    panel.set_title("microseconds a world-step")
-    panel.set_xlabel("shapes a world")
+    panel.set_title("microseconds per world-step")
+    panel.set_xlabel("shapes per world")
 
 
 def _draw_lines(panel: Any, records: Records, *, by: str, x: str, y: str, label: Callable[[str], str]) -> None:
@@ -172,5 +172,5 @@ def _draw_memory(panel: Any, records: Records) -> None:
     local = {shapes: record["thread_bytes"] / 1024 for shapes, record in sizes.items() if record["thread_bytes"]}
     if local:
         panel.plot(list(local), list(local.values()), "s--", color="#333333", label="local memory of a thread")
-    panel.set_title("KiB a world, by table")
-    panel.set_xlabel("shapes a world")
+    panel.set_title("KiB per world, by table")
+    panel.set_xlabel("shapes per world")

@@ -1,4 +1,4 @@
-"""`bench levels`: random levels a second, as they are drawn and without those that solve themselves.
+"""`bench levels`: random levels per second, as they are drawn and without those that solve themselves.
 
     one run    = fresh levels as a curriculum asks for them for scoring: twice as many as it keeps are drawn and played
                  without acting for `NOOP_STEPS` environment steps; the first that are not solved are taken
@@ -30,7 +30,7 @@ from kinetix_dist.level.level import SIZES, Level
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options:
-    """Random levels a second, as they are drawn and without those that solve themselves."""
+    """Random levels per second, as they are drawn and without those that solve themselves."""
 
     sizes: tuple[str, ...] = tuple(SIZES)
     """Sizes of levels."""

@@ -1,4 +1,4 @@
-"""`bench scaling`: environment steps a second of a recipe over numbers of devices, for each placement.
+"""`bench scaling`: environment steps per second of a recipe over numbers of devices, for each placement.
 
     for each repeat: for each placement: for each number of devices: one short run in a process of its own
 
@@ -34,7 +34,7 @@ from kinetix_dist.errors import one_line
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options(TrainingOptions):
-    """Environment steps a second of training, over numbers of devices and placements."""
+    """Environment steps per second of training, over numbers of devices and placements."""
 
     devices: tuple[int, ...] = (1, 2)
     """Numbers of GPUs, or of workers on a CPU."""

@@ -1,4 +1,4 @@
-"""`bench train`: environment steps a second of a recipe, everything included, and where the time goes.
+"""`bench train`: environment steps per second of a recipe, everything included, and where the time goes.
 
 A short run through the same `train` as `kinetix-dist train`, in a temporary directory. The first two updates are not
 measured. One record (`TrainingRecord`).
@@ -25,7 +25,7 @@ from kinetix_dist.errors import user_errors
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options(TrainingOptions):
-    """Environment steps a second of training, and where the time goes."""
+    """Environment steps per second of training, and where the time goes."""
 
     updates: int = 8
     """Updates of the run; those after the first two are measured."""

@@ -18,12 +18,12 @@ from kinetix_dist.errors import UserError
 from kinetix_dist.near_names import did_you_mean
 
 BENCHMARKS: dict[str, tuple[str, str]] = {  # name: (module, what it measures)
-    "engine speed": ("kinetix_dist.benchmarks.engine_speed", "physics steps a second, next to the published engine"),
+    "engine speed": ("kinetix_dist.benchmarks.engine_speed", "physics steps per second, next to the published engine"),
     "engine effects": ("kinetix_dist.benchmarks.engine_effects", "what each effect (friction, joints, ...) costs"),
     "engine growth": ("kinetix_dist.benchmarks.engine_growth", "time and memory over numbers of worlds and shapes"),
-    "env": ("kinetix_dist.benchmarks.env_speed", "environment steps a second of each observation and size"),
-    "levels": ("kinetix_dist.benchmarks.level_generation", "random levels a second, drawn and filtered"),
-    "train": ("kinetix_dist.benchmarks.training_speed", "environment steps a second of a recipe, time by role"),
+    "env": ("kinetix_dist.benchmarks.env_speed", "environment steps per second of each observation and size"),
+    "levels": ("kinetix_dist.benchmarks.level_generation", "random levels per second, drawn and filtered"),
+    "train": ("kinetix_dist.benchmarks.training_speed", "environment steps per second of a recipe, time by role"),
     "learner": ("kinetix_dist.benchmarks.learner_step", "milliseconds of a gradient step"),
     "scaling": ("kinetix_dist.benchmarks.scaling", "training over numbers of devices and placements"),
     "model": ("kinetix_dist.benchmarks.scaling_model", "seconds of an update on many GPUs, predicted; runs nothing"),

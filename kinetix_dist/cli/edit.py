@@ -17,8 +17,7 @@ from typing import Annotated
 
 import tyro
 
-from kinetix_dist.cli.dashboard import RUNS
-from kinetix_dist.cli.page_server import ServerArgs, serve_pages
+from kinetix_dist.cli.dashboard import RUNS, ServerArgs, serve_pages
 from kinetix_dist.errors import UserError
 from kinetix_dist.level.level_data import designed_files, designed_names, levels_root
 from kinetix_dist.near_names import did_you_mean

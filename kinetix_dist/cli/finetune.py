@@ -1,7 +1,7 @@
 """`kinetix-dist finetune`: trains on a set of levels from a policy that exists, or one policy for each level.
 
     kinetix-dist finetune --from generalist --levels designed_s                    one policy for all of them
-    kinetix-dist finetune --from generalist --levels designed_s --each             one a level
+    kinetix-dist finetune --from generalist --levels designed_s --each             one per level
     kinetix-dist finetune --from generalist --levels designed_s --each --compare   and from scratch, with a picture
     kinetix-dist finetune --levels designed_s --each                               from scratch alone
 
@@ -27,7 +27,7 @@ from kinetix_dist.errors import UserError, one_line, user_errors
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
     from kinetix_dist.finetune.results import Record
-    from kinetix_dist.finetune.starts import Start
+    from kinetix_dist.finetune.specialists import Start
 
 PROG = "kinetix-dist finetune"
 DEFAULT_RECIPE = "single_level"
@@ -38,7 +38,7 @@ USAGE = f"""usage: {PROG} --levels SET [--from CKPT] [--each [--compare]] [optio
 
   --levels SET    a level set, a level, a level file or a directory of them
   --from CKPT     a checkpoint, a run (its newest checkpoint) or a pretrained policy; left out: from scratch
-  --each          one specialist a level, on one device; --run is the directory of the results (default
+  --each          one specialist per level, on one device; --run is the directory of the results (default
                   runs/finetune-SET), and the same command goes on where it was stopped
   --compare       with --each and --from: specialists from scratch too
   --stop-at RATE  with --each: a specialist ends at the first evaluation that solves this share (default: none)
@@ -88,7 +88,7 @@ def parse(argv: Sequence[str]) -> Args:
 
 def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
     _check(known)
-    from kinetix_dist.finetune.starts import SCRATCH, like_policy, policy_at, start_from
+    from kinetix_dist.finetune.specialists import SCRATCH, like_policy, policy_at, start_from
 
     trained = None if known.start is None else policy_at(Path(known.start))
     start = SCRATCH if trained is None else start_from(trained)
@@ -170,7 +170,7 @@ def _each(args: Args, config: TrainConfig) -> int:
     if (path / "config.json").exists():
         raise UserError(f"{path} holds a run; give --run another directory for the results of specialists")
     starts = " and ".join(start.label for start in args.starts)
-    print(f"one specialist a level of {config.curriculum.levels}, {starts}, in {path}", flush=True)
+    print(f"one specialist per level of {config.curriculum.levels}, {starts}, in {path}", flush=True)
     if config.cut_episodes:
         print(config.cut_episodes, flush=True)
     with StopSignals(limit_s=config.run.stop_seconds, hint="; the same command goes on") as stop:
@@ -184,8 +184,7 @@ def _each(args: Args, config: TrainConfig) -> int:
 
 def _show(path: Path) -> int:
     """The table and the picture of what is stored."""
-    from kinetix_dist.finetune.picture import draw
-    from kinetix_dist.finetune.results import read_results
+    from kinetix_dist.finetune.results import draw, read_results
 
     records = read_results(path)
     say(_table(records), sys.stdout)

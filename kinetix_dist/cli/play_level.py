@@ -1,7 +1,7 @@
 """`kinetix-dist levels play LEVEL`: the level in a browser, played at once by keys or by a policy.
 
     kinetix-dist levels play s/hop_home --open                  by keys
-    kinetix-dist levels play mine.json --policy generalist      by the policy that comes along, `random` or `noop`
+    kinetix-dist levels play mine.json --policy generalist      by the bundled policy, `random` or `noop`
     kinetix-dist levels play l/walker --policy runs/sfl_l       by that of a run
 
 The pages are those of `kinetix-dist edit`: stopped, the level can be changed, and a level file be saved.
@@ -14,8 +14,8 @@ from pathlib import Path
 
 import tyro
 
+from kinetix_dist.cli.dashboard import ServerArgs, serve_pages
 from kinetix_dist.cli.edit import PAGE, editor_of
-from kinetix_dist.cli.page_server import ServerArgs, serve_pages
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.studio.server.app import ServerConfig

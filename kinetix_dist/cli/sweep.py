@@ -177,7 +177,7 @@ def _train(args: Args, design: Design, runs: list[Run], slots: list[Slot], path:
 def _report(sweep: Sweep) -> None:
     """Tables and the picture, from sweep.json."""
     from kinetix_dist.sweep.driver import RESULTS
-    from kinetix_dist.sweep.picture import draw
+    from kinetix_dist.sweep.results import draw
 
     found = json.loads((sweep.path / RESULTS).read_text())
     screen = console()

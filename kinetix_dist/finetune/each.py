@@ -1,4 +1,4 @@
-"""One specialist a level, from each start, stored as they come: `kinetix-dist finetune --each`."""
+"""One specialist per level, from each start, stored as they come: `kinetix-dist finetune --each`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.finetune.results import Record, ResultsDirectory, design_of
-from kinetix_dist.finetune.specialists import Specialists
-from kinetix_dist.finetune.starts import SCRATCH, Start
+from kinetix_dist.finetune.specialists import SCRATCH, Specialists, Start
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.runtime import starting_point

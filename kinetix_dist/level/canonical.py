@@ -3,7 +3,7 @@
     corners of a polygon   counter-clockwise, first the one with the smallest polar angle about the centroid, in
                            [0, 2 pi) and the shape's own frame: a box begins at (+, +)
     ends of a joint        a is the lower slot; polygons come before circles
-    axis of a slider       an angle in [-pi, pi]; one within is kept bit for bit
+    axis of a slider       an angle in [-pi, pi]; one within stays, bit for bit
     speed of a wheel       positive, as random and public levels have it (`turned_colours`)
 
 A policy reads these numbers as they are stored: another order in a file, an importer or a generator would be a
@@ -118,7 +118,7 @@ def swap_ends(joints: Joints) -> Joints:
 
 
 def with_opposite_angles(joints: Joints) -> Joints:
-    """Angles of b against a with the other sign: rest angles, and speeds and limits of what turns."""
+    """Angles of b against a with the other sign: rest angles, and speeds and limits of hinges."""
     slides = joints.is_kind(JointKind.PRISMATIC)
     return dataclasses.replace(
         joints,

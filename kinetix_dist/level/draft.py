@@ -160,7 +160,7 @@ def write_slot(table: Any, slot: Array, row: Any, do: Array) -> Any:
     here = (jnp.arange(len(jax.tree.leaves(table)[0])) == slot) & do
 
     def write(column: Array, value: Array) -> Array:
-        return jnp.where(beside(here, column), jnp.asarray(value, column.dtype), column)
+        return jnp.where(mask_like(here, column), jnp.asarray(value, column.dtype), column)
 
     return jax.tree.map(write, table, row)
 
@@ -175,7 +175,7 @@ def row_at(column: Array, slot: Array) -> Array:
     return jnp.asarray(column).at[slot].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
-def beside(mask: Array, column: Array) -> Array:
+def mask_like(mask: Array, column: Array) -> Array:
     """The mask ([n]) with as many axes as the column ([n, ...])."""
     return mask.reshape(mask.shape + (1,) * (column.ndim - 1))
 

@@ -10,7 +10,7 @@ import numpy as np
 from jax2d.scene import Array, JointKind
 from kinetix_dist.level.level import NUM_WALLS, Level, Role
 
-# Order of the columns of `level_features`. Shapes are those beside the walls.
+# Order of the columns of `level_features`. Walls are no shapes here.
 FEATURES = ("shapes", "joints", "motors", "thrusters", "fixed_shapes", "red_shapes")
 
 

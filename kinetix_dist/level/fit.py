@@ -60,7 +60,7 @@ def smallest_size(level: Level) -> str:
 
 
 def fit_level(level: Level, capacity: Capacity) -> Level:
-    """One level (numpy) in arrays of another capacity; slot order is kept, new slots are inactive.
+    """One level (numpy) in arrays of another capacity; slot order stays, new slots are inactive.
 
     Where the capacity has fewer slots than the arrays, active entries move up into the first slots. Raises
     `LevelSizeError` where they do not fit.
@@ -84,8 +84,8 @@ def fit_level(level: Level, capacity: Capacity) -> Level:
 
 
 def pad_levels(levels: Level, capacity: Capacity) -> Level:
-    """A batch of levels, [W, ...], in arrays of a capacity with at least as much room; slot order is kept, new slots
-    are inactive. Works inside jit. Raises `LevelSizeError` where the capacity has less room of a kind."""
+    """A batch of levels, [W, ...], in arrays of a capacity with at least as many slots; slot order stays, new slots
+    are inactive. Works inside jit. Raises `LevelSizeError` where the capacity has fewer slots of a kind."""
     have = capacity_of(levels)
     if have == capacity:
         return levels

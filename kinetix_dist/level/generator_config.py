@@ -55,7 +55,7 @@ _CHANCES = (
 class GeneratorConfig:
     """Parameters of random levels. Chances are 0..1, lengths m, angles rad, speeds and powers in engine units."""
 
-    num_proposals: int = 8  # drawn for each addition; the one with the fewest overlaps is kept
+    num_proposals: int = 8  # drawn for each addition; the one with the fewest overlaps is added
     num_proposals_s: int = 8  # the same where there are at most 3 shapes besides the walls, as in size S
     published_details: tuple[str, ...] = ()  # of PUBLISHED_DETAILS
     # What is added after green, blue and the forced control

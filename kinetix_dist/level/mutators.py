@@ -3,8 +3,9 @@
     level, changed = mutate(key, level, capacity, config, num_changes=3)
 
 A mutator makes one change and the level stays valid: one green and one blue shape, walls as they are, ends of joints
-together. Where it has nothing to change (no room, nothing to remove) the level stays as it is and `changed` says so.
-`derive` then brings masses and contact permissions up to date. Everything is for one level; `jax.vmap` gives a batch.
+together. Where it has nothing to change (no free slot, nothing to remove) the level stays as it is and `changed` is
+False. `derive` then brings masses and contact permissions up to date. Everything is for one level; `jax.vmap` gives a
+batch.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from kinetix_dist.level.walls import FLOOR_TOP_M, GRAVITY_M_S2
 
 MAX_MOVE_M = 1.0  # of a body in one change, along each axis
 MAX_SCALING = 1.5  # of a shape's size in one change, up or down
-MAX_GRAVITY = 2.0  # times what levels have otherwise; 0 is allowed
+MAX_GRAVITY = 2.0  # times the usual gravity; 0 is allowed
 _NUM_DRAWS = 8  # uniform numbers of a mutator that proposes no shape
 
 
@@ -92,8 +93,8 @@ def begin(level: Level) -> Edited:
 def _run(mutator: Mutator, capacity: Capacity, config: GeneratorConfig, key: Array, edited: Edited) -> Edited:
     """The level after a mutator, or the same level, bit for bit, where it changes nothing."""
     after = mutator(key, edited, capacity, config)
-    kept = jax.tree.map(lambda new, old: jnp.where(after.changed, new, old), after, edited)
-    return dataclasses.replace(kept, changed=after.changed)
+    result = jax.tree.map(lambda new, old: jnp.where(after.changed, new, old), after, edited)
+    return dataclasses.replace(result, changed=after.changed)
 
 
 # Choices of shapes
@@ -312,7 +313,7 @@ def _move(edited: Edited, choice: Array, by: Array, turn: Array) -> Edited:
 
 
 def change_gravity(key: Array, edited: Edited, capacity: Capacity, config: GeneratorConfig) -> Edited:
-    """Down, from none to MAX_GRAVITY times what levels have otherwise."""
+    """Downward gravity from none to MAX_GRAVITY times the usual one."""
     down = jnp.asarray(GRAVITY_M_S2) * _draws(key)[0] * MAX_GRAVITY
     scene = edited.level.scene.replace(gravity=down.astype(edited.level.scene.gravity.dtype))
     level = dataclasses.replace(edited.level, scene=scene)

@@ -64,35 +64,6 @@ def _largest_gap(axes: Array, corners_a: Array, corners_b: Array) -> Array:
     return jnp.max(jnp.where(usable, gap, -jnp.inf))
 
 
-def contact_points(
-    corners_a: Array, num_a: Array, radius_a: Array, corners_b: Array, num_b: Array, radius_b: Array
-) -> Array:
-    """How many points of contact the public package finds between two shapes: 0, 1, or 2 of two polygons.
-
-    corners `[V, 2]` in the world, of which `num` count (0 of a circle). Two polygons touch in a second point where the
-    second deepest corner of one lies behind the other's face of least penetration too; faces are not clipped.
-    """
-    overlaps = separation(corners_a, radius_a, corners_b, radius_b) < 0.0
-    gap_a, second_behind_a = _deepest_face(corners_a, num_a, corners_b, num_b)
-    gap_b, second_behind_b = _deepest_face(corners_b, num_b, corners_a, num_a)
-    second_behind = jnp.where(gap_a + 0.01 < gap_b, second_behind_b, second_behind_a)
-    return overlaps.astype(jnp.int32) * (1 + ((num_a > 0) & (num_b > 0) & second_behind))
-
-
-def _deepest_face(corners: Array, num_corners: Array, others: Array, num_others: Array) -> tuple[Array, Array]:
-    """Of the face of a polygon with the largest gap to another: the gap (m), and whether two corners lie behind it."""
-    edge = jnp.roll(corners, -1, axis=0) - corners
-    # The last corner is repeated in unused slots: the edge of the last of them leads back to the first corner.
-    length = jnp.sqrt(jnp.sum(edge * edge, axis=-1))
-    outwards = jnp.stack([edge[:, 1], -edge[:, 0]], axis=-1) / jnp.where(length > 1e-6, length, 1.0)[:, None]
-    offset = others[None, :, :] - corners[:, None, :]
-    depth = jnp.sum(offset * outwards[:, None, :], axis=-1)  # [faces, corners of the other], negative behind
-    depth = jnp.where(jnp.arange(others.shape[0])[None, :] < num_others, depth, jnp.inf)
-    gap = jnp.where((length > 1e-6) & (num_corners > 0), depth.min(axis=1), -jnp.inf)
-    face = jnp.argmax(gap)
-    return gap[face], jnp.sort(depth[face])[1] < 0.0
-
-
 def reach(point: Array, vertices: Array, radius: Array) -> Array:
     """Distance from a point of the body frame to the farthest point of the shape."""
     distance = jnp.sqrt(jnp.sum((vertices - point) ** 2, axis=-1))

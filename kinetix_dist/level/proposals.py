@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from jax2d.fields import Array, replace
 from jax2d.scene import JointKind
+from kinetix_dist.level import published_generator as published
 from kinetix_dist.level.draft import (
     Draft,
     DrivenJoints,
@@ -28,8 +29,8 @@ from kinetix_dist.level.draft import (
 )
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS, WORLD_SIZE_M, Role
-from kinetix_dist.level.overlap import contact_points, inset, reach, separation, world_corners
-from kinetix_dist.level.walls import FLOOR_TOP_M, WALL_CENTRES_M
+from kinetix_dist.level.overlap import inset, reach, separation, world_corners
+from kinetix_dist.level.walls import FLOOR_TOP_M
 
 NUM_DRAWS = 28  # uniform numbers that one proposal uses
 
@@ -152,7 +153,7 @@ def propose(draft: Draft, request: Request, draw: Array, num_polygons: int, conf
 
     is_visible = _both_visible(shape, partner, anchor_new, anchor_partner, config)
     fine = jnp.where(request.is_joined & ~is_visible, config.hidden_fine, 0.0)
-    count = _count_contact_points if "contact_points" in config.published_details else _count_overlaps
+    count = published.count_contact_points if "contact_points" in config.published_details else _count_overlaps
     return Proposal(
         shape=shape,
         slot=slot,
@@ -176,10 +177,9 @@ def _choose_partner(
     wish = may_hold * wish * jnp.where(shapes.is_fixed, config.connect_to_fixed_factor, 1.0)
     wish_polygon, wish_circle = wish * is_polygon_slot, wish * ~is_polygon_slot * room_polygon
     any_polygon, any_circle = wish_polygon.sum() > 0, wish_circle.sum() > 0
-    if "joined_to_walls" in config.published_details:
-        can_hold_none, is_polygon_here = ~any_polygon, shapes.active & is_polygon_slot
-        any_polygon = (is_polygon_here & may_hold).any()
-        wish_polygon = jnp.where(can_hold_none, is_polygon_here * 1.0, wish_polygon)
+    wish_polygon, any_polygon = published.with_walls_to_join(
+        wish_polygon, any_polygon, may_hold, shapes.active & is_polygon_slot, config
+    )
     is_polygon = any_polygon & (~any_circle | (kind_draw < 0.5))
     slot = pick(jnp.where(is_polygon, wish_polygon, wish_circle), slot_draw)
     return Partner(slot=slot, shape=read_slot(shapes, slot), is_polygon=is_polygon, exists=any_polygon | any_circle)
@@ -194,9 +194,7 @@ def _draw_free(
     is_triangle = (draw[8] < config.triangle_chance) & is_polygon
     corners, num_vertices = box_or_triangle(half, is_triangle, shapes.vertices.shape[1])
     half_width = jnp.where(is_polygon, jnp.max(half) * math.sqrt(2.0), radius)
-    if "wide_margins" in config.published_details:  # boxes have a radius there, circles half extents
-        unused = config.min_half_extent * math.sqrt(2.0) * jnp.where(is_long, config.large_rectangle_scale, 1.0)
-        half_width = jnp.maximum(half_width, jnp.where(is_polygon, config.min_radius, unused))
+    half_width = published.with_wide_margin(half_width, is_polygon, is_long, config)
     area = jnp.where(is_polygon, 4.0 * half[0] * half[1] * jnp.where(is_triangle, 0.5, 1.0), math.pi * radius**2)
     role = _sample_role(shapes, partner.shape.role, request.is_joined, draw[9])
     # Position: green often on the left and blue on the right (swapped at the end or not).
@@ -229,12 +227,10 @@ def _both_visible(
     shape: Shapes, partner: Partner, anchor_new: Array, anchor_partner: Array, config: GeneratorConfig
 ) -> Array:
     """bool: each of two joined shapes sticks out of the other."""
-    is_polygon = shape.num_vertices > 0
-    seen_at_new, seen_at_partner = anchor_new, anchor_partner
-    if "exchanged_anchors" in config.published_details:
-        on_partner = anchor_partner + _from_published_origin(partner.slot)
-        seen_at_new = jnp.where(partner.is_polygon, jnp.where(is_polygon, on_partner, 0.0), anchor_new)
-        seen_at_partner = jnp.where(partner.is_polygon, anchor_new, anchor_partner)
+    is_polygon = shape.num_vertices > 0, partner.is_polygon
+    seen_at_new, seen_at_partner = published.with_exchanged_anchors(
+        (anchor_new, anchor_partner), is_polygon, partner.slot, config
+    )
     other = partner.shape
     return (
         reach(seen_at_new, shape.vertices, shape.radius)
@@ -265,26 +261,6 @@ def _count_overlaps(shapes: Shapes, new: Shapes) -> Array:
     return jnp.sum((gap < 0.0) & shapes.active & (shapes.body != new.body)).astype(jnp.float32)
 
 
-def _count_contact_points(shapes: Shapes, new: Shapes) -> Array:
-    """How many points of contact the new shape has with active shapes, those of its own body too."""
-    corners = world_corners(shapes.position, shapes.angle, shapes.vertices)
-    new_corners = world_corners(new.position, new.angle, new.vertices)
-    count = jax.vmap(contact_points, in_axes=(0, 0, 0, None, None, None))
-    points = count(corners, shapes.num_vertices, shapes.radius, new_corners, new.num_vertices, new.radius)
-    return jnp.sum(points * shapes.active).astype(jnp.float32)
-
-
-def _from_published_origin(index: Array) -> Array:
-    """[2] m, from the origin of a shape's frame in the public package to that of ours: side walls have it at (0, 0)."""
-    side_walls = (1, 2)
-    offsets = (
-        jnp.zeros((NUM_WALLS, 2), jnp.float32)
-        .at[jnp.array(side_walls, jnp.int32)]
-        .set(WALL_CENTRES_M[list(side_walls)])
-    )
-    return jnp.where(index < NUM_WALLS, offsets[jnp.minimum(index, NUM_WALLS - 1)], 0.0)
-
-
 def _sample_role(shapes: Shapes, target_role: Array, is_joined: Array, draw: Array) -> Array:
     """Green and blue come first, then plain shapes and at most one red; green, blue and red share no body."""
     present = jnp.stack([(shapes.active & (shapes.role == role)).any() for role in Role])
@@ -312,9 +288,6 @@ def _sample_joint(
     may_be_fixed = ~request.force_motor & (num_hinges >= config.min_revolute_joints)
     is_fixed = (draw[0] < config.fixed_joint_chance) & may_be_fixed
     motor_on_chance = jnp.where(request.force_motor, config.forced_motor_on_chance, config.motor_on_chance)
-    rest_angle = angle_between
-    if "limits_from_zero" in config.published_details:
-        rest_angle = jnp.where(is_fixed, angle_between, 0.0)
     speed = config.motor_speed_min + draw[2] * (config.motor_speed_max - config.motor_speed_min)
     strongest = jnp.where(both_polygons, config.motor_power_max, config.wheel_power_max)
     power = config.motor_power_min + draw[3] * (strongest - config.motor_power_min)
@@ -327,4 +300,4 @@ def _sample_joint(
         upper_limit=config.limit_max * draw[6],
         colour=jnp.floor(draw[7] * NUM_MOTOR_COLOURS).astype(jnp.int32),
     )
-    return joint_row(Ends(), is_fixed, rest_angle, hinge)
+    return joint_row(Ends(), is_fixed, published.rest_angle_of(angle_between, is_fixed, config), hinge)

@@ -185,7 +185,7 @@ def is_public_level(path: Path) -> bool:
 def files_of_set(name: str) -> list[Path]:
     """The level files of a designed set, a designed level, a file or a directory.
 
-    Raises ValueError for a set that is drawn and for what is no set, FileNotFoundError for an empty directory.
+    Raises ValueError for a set that is drawn and for an unknown name, FileNotFoundError for an empty directory.
     """
     if size_of_drawn_set(name):
         raise ValueError(f"{name!r} is drawn when it is used; it has no files; name a designed set or level files")
@@ -211,7 +211,7 @@ def files_of_set(name: str) -> list[Path]:
 
 
 def level_files(directory: Path, pattern: str) -> list[Path]:
-    """Files of a directory that should hold levels: not proofs that lie beside them, and not other level data."""
+    """Files of a directory that should hold levels: not proofs in the same directory, and not other level data."""
     return [path for path in data_files(directory, pattern) if not path.name.endswith(PROOF_SUFFIX)]
 
 

@@ -222,8 +222,8 @@ def _room_problems(document: dict[str, Any], capacity: Capacity, size_name: str)
         ("joints", len(joints) if isinstance(joints, list) else 0, capacity.joints, "joints"),
         ("thrusters", len(thrusters) if isinstance(thrusters, list) else 0, capacity.thrusters, "thrusters"),
     )
-    for path, count, room, kind in counts:
-        if count > room:
+    for path, count, most, kind in counts:
+        if count > most:
             yield LevelFormatError(
-                path, f"{count} {kind}, size {size_name} has room for {room}", "use a larger size or remove some"
+                path, f"{count} {kind}, size {size_name} has room for {most}", "use a larger size or remove some"
             )

@@ -73,7 +73,7 @@ _ALL = (
     Metric("time/idle", "share", "everything else: dispatch, transfers, waiting"),
     # Training episodes. Rates are of first episodes: of all that end, those that end early would count more often.
     Metric("train/episodes", "episodes", "episodes that ended in this update's rollout"),
-    Metric("train/attempts", "worlds", "first episodes of this update, one a world"),
+    Metric("train/attempts", "worlds", "first episodes of this update, one per world"),
     Metric(
         "train/solve_rate",
         "share",

@@ -21,9 +21,9 @@ def test_two_processes_are_started_and_asked(tmp_path):
     (record,) = json.loads(path.read_text())
     assert record["processes"] == 2 and 0 < record["start_seconds"] < 200
     assert 0 < record["update_milliseconds"] <= record["update_milliseconds_slowest"]
-    assert 50 < record["resident_mib_a_process"] < 2000
+    assert 50 < record["resident_mib_per_process"] < 2000
 
 
 def test_what_memory_does_not_hold_is_left_out():
-    record = control_plane.measure(psutil.virtual_memory().total // control_plane.BYTES_A_PROCESS + 1)
+    record = control_plane.measure(psutil.virtual_memory().total // control_plane.BYTES_PER_PROCESS + 1)
     assert "MiB of memory are free" in str(record["left_out"]) and "start_seconds" not in record

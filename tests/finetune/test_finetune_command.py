@@ -10,7 +10,7 @@ import pytest
 from kinetix_dist.cli import finetune
 from kinetix_dist.cli.main import main
 from kinetix_dist.env.env_config import EnvConfig
-from kinetix_dist.finetune.starts import policy_at, start_from
+from kinetix_dist.finetune.specialists import policy_at, start_from
 from kinetix_dist.models.policy import PolicyConfig
 from tests.finetune.small import OPTIONS, config_of, level_directory, write_policy
 

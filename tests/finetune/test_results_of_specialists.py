@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from kinetix_dist.errors import UserError
-from kinetix_dist.finetune.picture import figure_of
-from kinetix_dist.finetune.results import ResultsDirectory, design_of, env_steps_to, record_of
-from kinetix_dist.finetune.specialists import Point, Specialist
-from kinetix_dist.finetune.starts import SCRATCH, Start
+from kinetix_dist.finetune.results import ResultsDirectory, design_of, env_steps_to, figure_of, record_of
+from kinetix_dist.finetune.specialists import SCRATCH, Point, Specialist, Start
 from kinetix_dist.level.sets import load_level_set
 from tests.finetune.small import config_of, level_directory
 

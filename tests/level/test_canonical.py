@@ -188,9 +188,9 @@ def motor(speed: float, colour: int = 0, **more: Any) -> dict[str, Any]:
         ([motor(1.5)], "circle", [1.5], []),
         ([motor(-1.0), motor(-2.0)], "circle", [1.0, 2.0], [0]),
         ([motor(-1.0), motor(-2.0, 3)], "circle", [1.0, 2.0], [0, 3]),
-        ([motor(-1.0), motor(2.0)], "circle", [-1.0, 2.0], []),  # gears: nobody could exchange that
+        ([motor(-1.0), motor(2.0)], "circle", [-1.0, 2.0], []),  # gears: no exchange is possible
         ([motor(-1.0), motor(2.0, 1)], "circle", [1.0, 2.0], [0]),
-        ([motor(-1.0, auto=True)], "circle", [-1.0], []),  # obeys nobody
+        ([motor(-1.0, auto=True)], "circle", [-1.0], []),  # obeys no action
         ([motor(-1.0), motor(-2.0, auto=True)], "circle", [1.0, -2.0], [0]),
         ([motor(-1.0), motor(2.0)], "box", [1.0, -2.0], [0]),  # all motors of the colour with its wheels
         ([motor(1.0), motor(-2.0)], "box", [1.0, -2.0], []),
@@ -238,7 +238,7 @@ def test_a_level_as_it_was_written_has_the_signs_of_the_file() -> None:
 
 
 def test_a_level_that_is_turned_round_is_driven_by_the_other_actions_bit_for_bit() -> None:
-    """The engine is asked: what the file says by forward, the level does by backward; number by number it is the level
+    """Played on the engine: forward of the file is backward of the level; number by number it is the level
     whose file has positive speeds."""
     given, positive = vehicle(motor(-1.0), motor(-2.0, 1)), vehicle(motor(1.0), motor(2.0, 1))
     level, other = level_from_json(given), level_from_json(positive)
@@ -414,7 +414,7 @@ def test_what_is_written_is_in_canonical_form_and_reads_back_as_it_was(file: obj
 
 
 def test_a_polygon_about_its_centroid_stays_where_it_is_to_the_bit() -> None:
-    """Otherwise the same box would lie elsewhere, by some 1e-8 m, each time it is written and read."""
+    """A box that was centred again would move by some 1e-8 m each time it is written and read."""
     document = {
         "format": "kinetix-dist-level",
         "version": 1,

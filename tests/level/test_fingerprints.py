@@ -26,7 +26,7 @@ from tests.helpers import REPOSITORY
 
 @contextlib.contextmanager
 def other_settings() -> Iterator[None]:
-    """All that `jax.random` reads, otherwise than by default."""
+    """Unusual values of all settings that `jax.random` reads."""
     settings = {"jax_random_seed_offset": 5, "jax_high_dynamic_range_gumbel": True}
     usual = {name: getattr(jax.config, name) for name in settings}
     with jax.enable_x64(True), jax.default_prng_impl("rbg"), jax.threefry_partitionable(False):
@@ -89,7 +89,7 @@ def test_levels_are_the_same_under_all_settings(drawn):
         levels = generate_levels(prng.key(3), 64, SIZES["s"], GeneratorConfig())
     for one, other in zip(jax.tree.leaves(levels), jax.tree.leaves(drawn), strict=True):
         assert one.dtype == other.dtype
-        if one.dtype == np.float32:  # other programs round the last bits otherwise
+        if one.dtype == np.float32:  # other programs round the last bits differently
             np.testing.assert_allclose(one, other, rtol=2e-5, atol=1e-6)
         else:
             np.testing.assert_array_equal(one, other)
@@ -103,7 +103,7 @@ def test_a_fingerprint_takes_rounding_and_refuses_other_levels(drawn):
     check_fingerprint("mine", rounded, known)
     # Where one level more solves itself, all that follow move up by one.
     check_fingerprint("mine", jax.tree.map(lambda x: x[2:], drawn), known)
-    # Two ways to be another set: other choices, and other places.
+    # Two ways to be another set: other choices, and other positions.
     with pytest.raises(OtherLevelsError, match=r"'mine' comes out as other levels .* 63 of the first 64, mine_1 among"):
         role = drawn.shape_role.copy()
         role[1:, :] = (role[1:, :] + 1) % 4

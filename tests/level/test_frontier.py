@@ -31,7 +31,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "sys.argv", ["frontier_sets", *arguments, "--num-levels", "2", "--batch", "32", "--attempts", "8"]
         )
         assert main() == 0
-        assert main() == 0  # what is there is kept
+        assert main() == 0  # an existing entry stays
     return levels
 
 
@@ -43,7 +43,7 @@ def test_the_set_is_drawn_again_from_its_indices(data: Path, monkeypatch: pytest
     assert names == [f"frontier_s_{index}" for index in made.indices]
     batch = stream_levels("s", range(made.num_drawn))
     for own, drawn in zip(jax.tree.leaves(levels), jax.tree.leaves(batch)):
-        # Programs that draw another number of levels may round the last bits otherwise.
+        # Programs that draw another number of levels may round the last bits differently.
         np.testing.assert_allclose(own, np.asarray(drawn)[list(made.indices)], rtol=1e-5, atol=1e-6)
     with pytest.raises(ValueError, match="'frontier_s' is drawn when it is used"):
         files_of_set("frontier_s")

@@ -186,7 +186,7 @@ def test_a_level_depends_on_its_key_and_number_alone() -> None:
     assert not np.allclose(few.position, other_key.position)
 
 
-def test_triangles_appear_when_asked_for_and_have_their_centroid_at_the_origin() -> None:
+def test_triangles_appear_when_counts_for_and_have_their_centroid_at_the_origin() -> None:
     levels = generate_levels(jax.random.key(3), 64, SIZES["s"], GeneratorConfig(triangle_chance=1.0))
     is_free = np.asarray(levels.scene.shapes.active)[:, 4]
     assert (np.asarray(levels.scene.shapes.num_vertices)[is_free, 4] == 3).all()
@@ -207,22 +207,22 @@ def test_bad_parameters_and_capacities_are_refused_with_their_numbers() -> None:
 def test_filtering_keeps_unsolved_levels_in_the_order_drawn() -> None:
     is_solved = jnp.array([True, False, True, False, False, True])
     levels = jax.tree.map(lambda x: x[:6], levels_of("s"))
-    kept = keep_unsolved(levels, is_solved, 3)
-    np.testing.assert_array_equal(kept.position, levels.position[[1, 3, 4]])
+    unsolved = keep_unsolved(levels, is_solved, 3)
+    np.testing.assert_array_equal(unsolved.position, levels.position[[1, 3, 4]])
     most_solved = keep_unsolved(levels, jnp.array([True, True, True, True, False, True]), 3)
     np.testing.assert_array_equal(most_solved.position, levels.position[[4, 0, 1]])
 
 
 def test_filtering_draws_twice_as_many_and_asks_which_are_solved() -> None:
-    asked = []
+    counts = []
 
     def every_other(levels: Level) -> jax.Array:
-        asked.append(levels.position.shape[0])
+        counts.append(levels.position.shape[0])
         return jnp.arange(levels.position.shape[0]) % 2 == 0
 
-    kept = generate_filtered(jax.random.key(1), 4, "s", GeneratorConfig(), every_other)
-    assert asked == [8]
-    np.testing.assert_allclose(kept.position, levels_of("s").position[1:8:2], rtol=1e-6, atol=1e-6)
+    unsolved = generate_filtered(jax.random.key(1), 4, "s", GeneratorConfig(), every_other)
+    assert counts == [8]
+    np.testing.assert_allclose(unsolved.position, levels_of("s").position[1:8:2], rtol=1e-6, atol=1e-6)
 
 
 def test_generator_config_is_frozen() -> None:

@@ -33,7 +33,7 @@ def cache(tmp_path: Path) -> Iterator[Path]:
 
 
 def assert_same_levels(levels: Level, expected: Level) -> None:
-    """Other programs round the last bits otherwise."""
+    """Other programs round the last bits differently."""
     assert jax.tree.structure(levels) == jax.tree.structure(expected)
     for one, other in zip(jax.tree.leaves(levels), jax.tree.leaves(expected), strict=True):
         assert one.dtype == other.dtype

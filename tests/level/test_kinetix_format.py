@@ -126,35 +126,37 @@ def compacted(level: Level) -> dict[str, np.ndarray]:
     rank = np.cumsum(active) - 1
     is_polygon, is_circle = active[:polygons], active[polygons:]
     held, pushes = scene.joints.active, scene.thrusters.active
-    kept = {f"shape {name}": getattr(scene.shapes, name)[active] for name in ("density", "friction", "restitution")}
-    kept |= {
+    preserved = {
+        f"shape {name}": getattr(scene.shapes, name)[active] for name in ("density", "friction", "restitution")
+    }
+    preserved |= {
         f"shape {name}": getattr(level, name)[active]
         for name in ("position", "angle", "velocity", "angular_velocity", "shape_role", "collision_mode")
     }
-    kept |= {f"shape {name}": getattr(scene.shapes, name)[active] for name in ("inverse_mass", "inverse_inertia")}
-    kept |= {"vertices": scene.shapes.vertices[is_polygon], "num_vertices": scene.shapes.num_vertices[is_polygon]}
-    kept |= {"radius": scene.shapes.radius[is_circle], "gravity": scene.gravity}
-    kept["can_touch"] = scene.shapes.can_touch[np.ix_(active, active)]
+    preserved |= {f"shape {name}": getattr(scene.shapes, name)[active] for name in ("inverse_mass", "inverse_inertia")}
+    preserved |= {"vertices": scene.shapes.vertices[is_polygon], "num_vertices": scene.shapes.num_vertices[is_polygon]}
+    preserved |= {"radius": scene.shapes.radius[is_circle], "gravity": scene.gravity}
+    preserved["can_touch"] = scene.shapes.can_touch[np.ix_(active, active)]
     for end in ("a", "b"):
-        kept[f"joint {end}"] = rank[getattr(scene.joints, end)[held]]
+        preserved[f"joint {end}"] = rank[getattr(scene.joints, end)[held]]
     is_hinge = scene.joints.is_kind(JointKind.REVOLUTE)
     for name in ("kind", "anchor_a", "anchor_b", "rest_angle", "motor_on", "motor_speed", "motor_power"):
-        kept[f"joint {name}"] = getattr(scene.joints, name)[held]
+        preserved[f"joint {name}"] = getattr(scene.joints, name)[held]
     has_limits = held & is_hinge & scene.joints.has_limits
-    kept |= {f"joint {name}": getattr(scene.joints, name)[has_limits] for name in ("lower_limit", "upper_limit")}
-    kept |= {"motor colour": level.motor_colour[held], "motor auto": level.motor_auto[held]}
-    kept["thruster body"] = rank[scene.thrusters.body[pushes]]
+    preserved |= {f"joint {name}": getattr(scene.joints, name)[has_limits] for name in ("lower_limit", "upper_limit")}
+    preserved |= {"motor colour": level.motor_colour[held], "motor auto": level.motor_auto[held]}
+    preserved["thruster body"] = rank[scene.thrusters.body[pushes]]
     for name in ("position", "angle", "power"):
-        kept[f"thruster {name}"] = getattr(scene.thrusters, name)[pushes]
-    return kept | {"thruster colour": level.thruster_colour[pushes]}
+        preserved[f"thruster {name}"] = getattr(scene.thrusters, name)[pushes]
+    return preserved | {"thruster colour": level.thruster_colour[pushes]}
 
 
 def test_public_levels_lose_nothing_on_the_way_into_our_files_and_out_again(public_levels: Path) -> None:
     for file in sorted(public_levels.glob("*/*.json")):
         level = load_kinetix(file)
         again = import_kinetix(json.loads(json.dumps(export_kinetix(level_from_json(level_to_json(level))))))
-        kept, found = compacted(level), compacted(again)
-        for name, values in kept.items():
+        preserved, found = compacted(level), compacted(again)
+        for name, values in preserved.items():
             np.testing.assert_allclose(found[name], values, rtol=1e-5, atol=3e-6, err_msg=f"{file}: {name}")
 
 

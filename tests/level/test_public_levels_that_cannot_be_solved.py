@@ -31,7 +31,7 @@ GRAVITY_M_S2, THRUST_N = 9.81, 10.0  # of power 1
 def test_green_is_too_low_before_it_touches_anything(
     public_levels: Path, name: str, share: float, way_m: float, room_m: float
 ) -> None:
-    """share: thrust over weight; way_m: to the first thing that is not red; room_m: above the floor or that thing."""
+    """share: thrust over weight; way_m: to the first shape that is not red; room_m: above the floor or that shape."""
     level = load_kinetix(public_levels / "l" / f"{name}.json")
     shapes, thrusters = level.scene.shapes, level.scene.thrusters
     (green,) = np.flatnonzero(shapes.active & (level.shape_role == Role.GREEN))
@@ -61,7 +61,7 @@ def _half_width(level: object, shape: int) -> float:
 
 
 def _first_ahead(level: object, green: int, x: float, direction: float) -> tuple[float, float]:
-    """m to the nearest thing beside green that it may touch, and how high green has to be then: the top of a platform
+    """m to the nearest shape beside green that it may touch, and how high green has to be then: the top of a platform
     that ends below it, or the floor."""
     shapes = level.scene.shapes  # type: ignore[attr-defined]
     way, top = (5.0 - x if direction > 0 else x), FLOOR_TOP_M

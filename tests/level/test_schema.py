@@ -172,11 +172,11 @@ MISTAKES = {
         edit("shapes.1.vertices", [[0, 0], [1, 0], [1.2, 1], [0.5, 2], [0, 1]]),
         r"^shapes\[1\]\.vertices: has 5 entries; give at most 4$",
     ),
-    "joint to nobody": (
+    "joint to a missing shape": (
         edit("joints.0.b", "wheels"),
         r"^joints\[0\]\.b: there is no shape 'wheels'; shapes are chassis, wedge, wheel, goal, floor",
     ),
-    "thruster on nobody": (edit("thrusters.0.shape", "x"), r"^thrusters\[0\]\.shape: there is no shape 'x'"),
+    "thruster on a missing shape": (edit("thrusters.0.shape", "x"), r"^thrusters\[0\]\.shape: there is no shape 'x'"),
     "joint to itself": (edit("joints.0.b", "chassis"), r"^joints\[0\]\.b: joins 'chassis' to itself"),
     "no anchor": (edit("joints.0.anchor", ...), r"^joints\[0\]: has no anchor; give 'anchor'"),
     "one local anchor": (edit("joints.0.anchor_a", [0, 0]), r"^joints\[0\]: has anchor and anchor_a; give"),
@@ -219,7 +219,14 @@ def test_an_editor_hears_of_the_mistake_too_and_of_nothing_that_is_none(mistake:
 
 def test_an_editor_hears_of_many_mistakes_at_once() -> None:
     document = copy.deepcopy(cart_document())
-    mistakes = ("missing name", "unknown field", "clockwise", "limits crossed", "negative radius", "thruster on nobody")
+    mistakes = (
+        "missing name",
+        "unknown field",
+        "clockwise",
+        "limits crossed",
+        "negative radius",
+        "thruster on a missing shape",
+    )
     for mistake in mistakes:
         MISTAKES[mistake][0](document)
     problems = [str(problem) for problem in problems_of(document, SIZES["m"], "m")]

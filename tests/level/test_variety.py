@@ -92,7 +92,7 @@ def test_each_change_is_made_to_half_of_the_levels_within_its_limits() -> None:
 
 
 def test_what_hangs_on_a_wall_moves_as_on_the_disc_before() -> None:
-    """The engine is asked: arms of four links with all motors on."""
+    """Arms of four links with all motors on, played on the engine."""
     arms = levels_of("l", 0.0, "arm")
     walls = 1 + jax.numpy.arange(NUM_LEVELS) % (NUM_WALLS - 1)
     hung = jax.jit(jax.vmap(lambda level, wall: derived(_hung_on_wall(level, wall))))(arms, walls)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 
-class Told:
-    """Says what its process was told."""
+class Facts:
+    """Returns the environment of its process."""
 
     def environment(self, name: str) -> str | None:
         return os.environ.get(name)
@@ -28,9 +28,9 @@ class Greedy:
         return jnp.zeros(1 << 50, jnp.int8).sum()
 
 
-def build_told(index: int, num_processes: int) -> Told:
+def build_facts(index: int, num_processes: int) -> Facts:
     del index, num_processes
-    return Told()
+    return Facts()
 
 
 def build_greedy(index: int, num_processes: int) -> Greedy:
@@ -46,7 +46,7 @@ def build_from_missing_levels(index: int, num_processes: int, path: str) -> Any:
     return load_level_set(path, "s")
 
 
-def build_together(index: int, num_processes: int, meeting: str, count: int) -> Told:
+def build_together(index: int, num_processes: int, meeting: str, count: int) -> Facts:
     """Is done when `count` processes are at it: those that are started one after another never are."""
     del index, num_processes
     here = Path(meeting) / str(os.getpid())
@@ -56,7 +56,7 @@ def build_together(index: int, num_processes: int, meeting: str, count: int) -> 
         if time.monotonic() > deadline:
             raise TimeoutError(f"{count} processes were not built at the same time")
         time.sleep(0.05)
-    return Told()
+    return Facts()
 
 
 class HangingStamp(dict[str, Any]):
@@ -75,7 +75,7 @@ class HangingStamp(dict[str, Any]):
 
 
 class Compiler:
-    """Compiles a program over all devices of its group, with compiled programs on disk; does nothing when told so."""
+    """Compiles a program over all devices of its group, with compiled programs on disk; can do nothing."""
 
     def __init__(self, directory: str) -> None:
         import jax
@@ -99,11 +99,11 @@ class Compiler:
         program().block_until_ready()
         return self._num_hits
 
-    def sleep(self, seconds: float, *beside: object) -> None:
+    def sleep(self, seconds: float, *others: object) -> None:
         time.sleep(seconds)
 
     def give(self, size: int) -> tuple[dict[str, int], Any]:
-        """(stamp, content)"""
+        """(header, content)"""
         import numpy as np
 
         return {"size": size}, np.ones(size, np.uint8)

@@ -8,7 +8,7 @@ HIDDEN = ("kinetix_dist", "jax2d")  # packages that another checkout has
 
 
 def foreign_checkout(folder: Path) -> Path:
-    """`folder` with packages and a jax.py that end whoever imports them with status 7."""
+    """`folder` with packages and a jax.py that end a program which imports them with status 7."""
     for name in HIDDEN:
         (folder / name).mkdir()
         (folder / name / "__init__.py").write_text("raise SystemExit(7)")

@@ -1,4 +1,4 @@
-"""`ray stop --force` beside a run, in a process namespace of its own: it ends every Ray process that it can see.
+"""`ray stop --force` next to a run, in a process namespace of its own: it ends every Ray process that it can see.
 
 unshare --pid --fork --mount-proc --kill-child python -m tests.runtime.ray_stop_program RUN        a line of JSON
 """
@@ -30,8 +30,8 @@ def main(run: Path) -> None:
     seconds = time.monotonic() - began
     while (left := _others()) and time.monotonic() < began + seconds + GONE_S:
         time.sleep(0.2)
-    told = {"status": process.returncode, "seconds": seconds, "left": left, "errors": errors, "said": said}
-    print(json.dumps(told | {"ray_stop": stopped.stdout + stopped.stderr}))
+    outcome = {"status": process.returncode, "seconds": seconds, "left": left, "errors": errors, "said": said}
+    print(json.dumps(outcome | {"ray_stop": stopped.stdout + stopped.stderr}))
 
 
 def _others() -> list[str]:

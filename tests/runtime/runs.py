@@ -35,7 +35,7 @@ class QuietReporter:
 
 
 class NotingReporter(QuietReporter):
-    """Keeps what it is told, too."""
+    """Stores rows and notes, too."""
 
     def __init__(self, at_update: Callable[[int], None] = lambda number: None) -> None:
         super().__init__(at_update)

@@ -58,12 +58,12 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
         arrays, update = before.snapshot(), 1
         expected, *_ = before.run_update(1)
 
-    jax.clear_caches()  # programs are kept for workers of equal settings
+    jax.clear_caches()  # programs are cached for workers of equal settings
     lowered.clear()
     worker = Worker(config, mesh, update)
     worker.start(arrays)
     # At once: it waits for the threads, else it would compile them too.
-    if is_resumed:  # what traces beside an update slows its launch
+    if is_resumed:  # tracing during an update slows its launch
         assert not worker._refresh_programs._jobs
     else:
         _, refreshed = worker.refresh(worker.released(), 0, 0, 1)
@@ -75,7 +75,7 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
     worker._evaluation_programs.wait()
 
 
-def test_a_new_policy_is_evaluated_by_the_program_that_was_compiled_beside_that_of_random_actions(lowered, monkeypatch):
+def test_a_new_policy_is_evaluated_by_the_program_that_was_compiled_while_random_actions_played(lowered, monkeypatch):
     monkeypatch.setattr(programs, "has_cores", lambda: True)
     config, mesh = tiny_config(num_updates=8), data_mesh(jax.devices()[:1])
     before = Worker(config, mesh)
@@ -100,9 +100,9 @@ CALLS: dict[str, tuple[str, list[Any]]] = {
 
 
 @pytest.mark.parametrize("programs", CALLS)
-def test_what_kept_a_program_from_being_compiled_is_raised_by_the_call_that_runs_it(programs):
+def test_an_error_of_a_compilation_is_raised_by_the_call_that_runs_the_program(programs):
     call, arguments = CALLS[programs]
-    worker = Worker.__new__(Worker)  # nothing else of it is asked for before
+    worker = Worker.__new__(Worker)  # nothing else of it is used before
     setattr(worker, programs, Ahead())
 
     def fail() -> None:
@@ -124,7 +124,7 @@ class _Handle:
 
 
 @pytest.mark.parametrize("works_in_background", [False, True])
-def test_workers_that_work_beside_are_told_what_comes_first(works_in_background):
+def test_workers_in_the_background_know_which_update_comes_first(works_in_background):
     handle = _Handle()
 
     class Backend(LocalBackend):
@@ -171,7 +171,7 @@ def test_kernels_are_launched_as_they_were_traced_in_whatever_thread():
     assert sorted(launched) == [(number, number, (number << 32) | number) for number in (1, 2, 3)]
 
 
-def test_who_waits_for_programs_raises_what_kept_them_from_being_compiled():
+def test_waiting_for_programs_raises_errors_of_their_compilation():
     programs, may_end = Ahead(), threading.Event()
 
     def compile_two() -> None:
@@ -185,7 +185,7 @@ def test_who_waits_for_programs_raises_what_kept_them_from_being_compiled():
     threading.Timer(0.1, may_end.set).start()
     with pytest.raises(ValueError, match="too large"):
         programs.wait()
-    with pytest.raises(ValueError, match="too large"):  # whoever asks next cannot go on without, either
+    with pytest.raises(ValueError, match="too large"):  # the next call cannot go on without, either
         programs.wait()
 
 

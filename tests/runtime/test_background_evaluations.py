@@ -31,7 +31,7 @@ def _config(placement="colocated"):
     )
 
 
-def _train(config, path, backend, *, is_beside=True, resume=False):
+def _train(config, path, backend, *, in_background=True, resume=False):
     """(rows of metrics, policy versions that were recorded)"""
     run, placement, recorded = run_directory(path, config, resume=resume), plan_placement(config, num_gpus=0), []
     if config.run.placement == "split":
@@ -43,8 +43,8 @@ def _train(config, path, backend, *, is_beside=True, resume=False):
     def record(rollouts):
         recorded.extend(rollout.policy_version for rollout in rollouts)
 
-    told = {"on_event": run.event, "on_rollouts": record}
-    evaluations = Evaluations(config, trainer, placement.of("evaluator")[0], **told) if is_beside else None
+    callbacks = {"on_event": run.event, "on_rollouts": record}
+    evaluations = Evaluations(config, trainer, placement.of("evaluator")[0], **callbacks) if in_background else None
     reporter = QuietReporter()
     try:
         controller = Controller(
@@ -70,8 +70,8 @@ def _rates(rows):
 @pytest.fixture(scope="module")
 def waited_for(tmp_path_factory):
     """(rows, recorded, arrays) of a run whose trainer evaluates while training waits."""
-    path = tmp_path_factory.mktemp("beside") / "here"
-    rows, recorded = _train(_config(), path, LocalBackend(), is_beside=False)
+    path = tmp_path_factory.mktemp("background") / "here"
+    rows, recorded = _train(_config(), path, LocalBackend(), in_background=False)
     return rows, recorded, final_arrays(path)
 
 

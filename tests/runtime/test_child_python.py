@@ -65,9 +65,9 @@ def test_ray_hands_on_checkouts_and_neither_the_current_directory_nor_this_pytho
     job = job_of_this_import_path()
     assert isinstance(job, JobConfig)
     job._py_driver_sys_path.append("/the/current/directory")  # as ray.init does
-    told = common_pb2.JobConfig.FromString(job._serialize())
-    assert list(told.py_driver_sys_path) == directories_outside_python()[::-1]
-    assert told.py_driver_sys_path[-1] == "/a/checkout"  # inserted last, so it comes first
+    parsed = common_pb2.JobConfig.FromString(job._serialize())
+    assert list(parsed.py_driver_sys_path) == directories_outside_python()[::-1]
+    assert parsed.py_driver_sys_path[-1] == "/a/checkout"  # inserted last, so it comes first
 
 
 def test_a_process_that_imports_from_elsewhere_is_refused_in_one_line():

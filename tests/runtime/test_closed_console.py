@@ -25,7 +25,7 @@ def _events(run, kind):
     return [row for row in read_lines(run.events).rows if row["event"] == kind]
 
 
-def test_lines_are_dropped_and_told_of_once_and_the_rest_of_a_run_goes_on(tmp_path):
+def test_lines_are_dropped_and_reported_once_and_the_rest_of_a_run_goes_on(tmp_path):
     reads, writes = os.pipe()
     os.set_blocking(writes, False)
     while True:  # until it takes no more
@@ -64,14 +64,14 @@ def test_a_pipe_whose_reader_has_ended_does_not_end_the_run(tmp_path):
     reporter.close()
     run.close()
     (failing,) = _events(run, "sink_failing")
-    assert (failing["sink"], failing["error"]) == ("console", "nobody reads the console any more")
+    assert (failing["sink"], failing["error"]) == ("console", "the console has no reader any more")
 
 
 @pytest.mark.parametrize(
     "resumes", [pytest.param(False, id="a run", marks=pytest.mark.slow), pytest.param(True, id="a refusal")]
 )
 def test_a_command_ends_whose_last_lines_nobody_takes(tmp_path, resumes):
-    """A pipe of one page, which the first line takes: neither the report, nor a line on stderr, has room."""
+    """A pipe of one page, which the first line takes: neither the report nor a line on stderr fits."""
     run = tmp_path / "run"
     what = ["--run", str(run), *tiny_options(2)] if not resumes else ["--run", str(tmp_path / "none"), "--resume"]
     reads, writes = os.pipe()

@@ -171,7 +171,7 @@ def _end_session(session: int) -> None:
 
 @pytest.mark.slow
 def test_a_bundle_installs_where_there_is_no_network(tmp_path):
-    """Made with a network; installed, asked and used in a network namespace that has none."""
+    """Made with a network; installed and used in a network namespace that has none."""
     without_network = ["unshare", "--map-root-user", "--net"]
     if subprocess.run([*without_network, "true"], capture_output=True, check=False).returncode:
         pytest.skip("no network namespaces here (unshare)")

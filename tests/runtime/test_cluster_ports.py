@@ -34,14 +34,14 @@ def options_of(base: int) -> list[str]:
 
 
 def free_base() -> int:
-    """The first of 200 ports that nobody listens on, below those that the kernel gives away."""
+    """First of 200 ports without a listener, below those that the kernel gives away."""
     taken = {c.laddr.port for c in psutil.net_connections("inet") if c.laddr}
     return next(base for base in range(21_000, 32_000, 200) if not taken & set(range(base, base + 200)))
 
 
 @pytest.fixture
 def raylets(tmp_path, monkeypatch) -> Iterator[tuple[Raylets, set[int]]]:
-    """Two nodes, and the ports that they were told to listen on."""
+    """Two nodes, and the ports that they may listen on."""
     monkeypatch.setenv("HOME", str(tmp_path))
     bases = [free_base()]
     metrics = {"AUTOSCALER_METRIC_PORT": bases[0] + 40, "DASHBOARD_METRIC_PORT": bases[0] + 41}
@@ -50,14 +50,14 @@ def raylets(tmp_path, monkeypatch) -> Iterator[tuple[Raylets, set[int]]]:
         nodes.start_head("--num-cpus=2", f"--ray-client-server-port={bases[0] + 42}", *options_of(bases[0]))
         bases.append(free_base())
         nodes.start_node("--num-cpus=2", *options_of(bases[1]))
-        told = {port for base in bases for port in range(base, base + 50 + NUM_WORKER_PORTS)}
-        yield nodes, told | {int(nodes.address.rpartition(":")[2])}
+        allowed = {port for base in bases for port in range(base, base + 50 + NUM_WORKER_PORTS)}
+        yield nodes, allowed | {int(nodes.address.rpartition(":")[2])}
     finally:
         nodes.stop()
 
 
 def test_each_socket_of_a_cluster_and_of_a_run_on_it_is_in_the_table_of_ports(raylets, tmp_path, monkeypatch):
-    nodes, told = raylets
+    nodes, allowed = raylets
     monkeypatch.setenv("RAY_ADDRESS", nodes.address)
     options = ["--run.placement", "colocated", "--run.num_workers", "2", "--run.total_env_steps", "10000000"]
     run = tmp_path / "run"
@@ -76,7 +76,7 @@ def test_each_socket_of_a_cluster_and_of_a_run_on_it_is_in_the_table_of_ports(ra
         process.communicate()
     assert not {name for name, _, _ in found} - set(known), found
     assert {"gcs_server", "raylet", "ray::DashboardAgent", "ray::"} <= {name for name, _, _ in found}
-    assert not [socket for socket in found if socket[0] != "ray::" and socket[2] not in told]
+    assert not [socket for socket in found if socket[0] != "ray::" and socket[2] not in allowed]
     # What JAX and its collectives listen on is not on all interfaces, and its port is the kernel's.
-    others = {ip for name, ip, port in found if name == "ray::" and port not in told}
+    others = {ip for name, ip, port in found if name == "ray::" and port not in allowed}
     assert others and others <= {"127.0.0.1", nodes.address.partition(":")[0]}, others

@@ -1,4 +1,4 @@
-"""Runs with the curricula beside SFL: cut and resumed in the split placement, to the same bits."""
+"""Runs with curricula other than SFL: cut and resumed in the split placement, to the same bits."""
 
 import dataclasses
 import shutil
@@ -29,7 +29,7 @@ CURRICULA = {
     "robust_plr": CurriculumConfig(name="robust_plr", buffer_size=12),
     "accel": CurriculumConfig(name="accel", buffer_size=12),
     "paired": CurriculumConfig(name="paired", paired=PairedConfig(hidden_size=16, epochs=2)),
-    # A refresh is in flight at the checkpoint: asked for after update 2, adopted after 4.
+    # A refresh is in flight at the checkpoint: requested after update 2, adopted after 4.
     "sfl_slices": CurriculumConfig(
         name="sfl_slices",
         num_candidates=8,
@@ -135,7 +135,7 @@ def test_the_learner_gets_the_first_worlds_of_each_group_where_a_curriculum_says
     assert _config("robust_plr").num_trained_envs * 2 == _config("plr").num_trained_envs == 16
     world = np.arange(8)
     batch = worlds_trained(Batch({"static": world}, {"step": world + np.array([[0], [100]])}, world), 2, 2)
-    kept = np.array([0, 1, 4, 5])
-    np.testing.assert_array_equal(batch.static["static"], kept)
-    np.testing.assert_array_equal(batch.trajectory["step"], [kept, kept + 100])
-    np.testing.assert_array_equal(batch.last_value, kept)
+    trained = np.array([0, 1, 4, 5])
+    np.testing.assert_array_equal(batch.static["static"], trained)
+    np.testing.assert_array_equal(batch.trajectory["step"], [trained, trained + 100])
+    np.testing.assert_array_equal(batch.last_value, trained)

@@ -30,8 +30,8 @@ def test_metrics_cut_at_every_byte_go_on_with_whole_rows(finished_run, tmp_path)
         sink.write(NUM_UPDATES + 1, {"train/solve_rate": 0.5})
         sink.close()
         rows = [json.loads(line) for line in path.read_text().splitlines()]  # every line is whole
-        kept = NUM_UPDATES - 1 + sum(cut >= end for end in _ends(last))
-        assert [row["update"] for row in rows] == [*range(1, kept + 1), NUM_UPDATES + 1], cut
+        num_whole = NUM_UPDATES - 1 + sum(cut >= end for end in _ends(last))
+        assert [row["update"] for row in rows] == [*range(1, num_whole + 1), NUM_UPDATES + 1], cut
         unfinished = last[:cut].rsplit(b"\n", 1)[-1]
         is_half = bool(unfinished) and not unfinished.endswith(b"}")
         assert sink.num_damaged == is_half, cut

@@ -34,7 +34,7 @@ def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
     line = _the_line(process)
     log = tmp_path / "run" / "logs" / "worker_0.log"
     assert f"worker 0 failed: unknown level set '{levels}'" in line
-    assert f"traceback in {log}; checkpoints are kept, go on with --run {tmp_path / 'run'} --resume" in line
+    assert f"traceback in {log}; checkpoints are untouched, go on with --run {tmp_path / 'run'} --resume" in line
     assert "load_level_set" in log.read_text()
     events = [json.loads(text) for text in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
     kinds = [event["event"] for event in events if event["event"] != "token_secured"]  # of the user's own Ray
@@ -45,8 +45,8 @@ def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
 def test_kernels_that_the_device_of_a_worker_cannot_run_are_refused(tmp_path):
     """The driver leaves devices alone: the worker finds out."""
     network = ["--policy.encoder_size", "128", "--policy.num_heads", "8", "--policy.attention_features", "16"]
-    asked = ["--policy.kernels", "fused", "--policy.dtype", "bfloat16", *network]
-    line = _the_line(start(tmp_path / "run", *COLOCATED, *asked), status=2)
+    options = ["--policy.kernels", "fused", "--policy.dtype", "bfloat16", *network]
+    line = _the_line(start(tmp_path / "run", *COLOCATED, *options), status=2)
     assert "policy.kernels is 'fused', but" in line and line.endswith("use 'auto' or 'xla'")
     assert not (tmp_path / "run" / "config.json").exists()
 

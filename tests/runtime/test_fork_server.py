@@ -1,4 +1,4 @@
-"""Processes that are forked with everything imported: like any other, and only where that cannot be told apart."""
+"""Processes that are forked with everything imported: like any other, and only where it makes no difference."""
 
 import array
 import json
@@ -25,7 +25,7 @@ print(os.getppid(), os.getcwd(), sys.argv[1:], os.environ["GIVEN"], "jax" in sys
 import jax
 print(jax.devices()[0].platform, file=sys.stderr, flush=True)
 """
-# Of Ray, in whose place the client runs: it says that it was asked.
+# Of Ray, in whose place the client runs: it says that it ran.
 OF_RAY = 'import sys; print("set up by Ray", sys.argv[1:])'
 
 pytestmark = pytest.mark.skipif(not ForkServer.can_run(), reason="no abstract sockets here")
@@ -39,12 +39,12 @@ def server():
 
 
 @pytest.fixture
-def ask(tmp_path):
-    """The file with what a process wrote, whose client asks for tmp_path/default_worker.py."""
+def launch(tmp_path):
+    """The file with what a process wrote, whose client requests tmp_path/default_worker.py."""
     (tmp_path / "default_worker.py").write_text(SCRIPT)
     (tmp_path / "setup_worker.py").write_text(OF_RAY)
 
-    def asked(variables):
+    def launched(variables):
         out = tmp_path / "out"
         with out.open("wb") as file:
             subprocess.run(
@@ -58,8 +58,8 @@ def ask(tmp_path):
             )
         return out
 
-    asked.script = tmp_path / "default_worker.py"
-    return asked
+    launched.script = tmp_path / "default_worker.py"
+    return launched
 
 
 def _lines(path, number):
@@ -70,10 +70,10 @@ def _lines(path, number):
     return lines
 
 
-def test_a_forked_process_has_what_it_was_given_and_everything_imported(server, ask, tmp_path):
+def test_a_forked_process_has_what_it_was_given_and_everything_imported(server, launch, tmp_path):
     found = set()
     for _ in range(2):
-        said, platform = _lines(ask(server.environment), 2)
+        said, platform = _lines(launch(server.environment), 2)
         parent, directory, arguments, given, has_jax, has_ray, at_random = said.split("|")
         assert (int(parent), directory, given) == (server.pid, str(tmp_path), "7")
         assert (arguments, has_jax, has_ray, platform) == ("['--one=a b']", "True", "False", "cpu")
@@ -82,14 +82,14 @@ def test_a_forked_process_has_what_it_was_given_and_everything_imported(server, 
 
 
 @pytest.mark.parametrize("case", ["none is named", "it is gone", "it has other settings of JAX"])
-def test_where_nothing_can_be_forked_ray_sets_the_process_up(server, ask, case):
+def test_where_nothing_can_be_forked_ray_sets_the_process_up(server, launch, case):
     variables = {
         "none is named": {},
-        "it is gone": {SERVER: "nobody"},
+        "it is gone": {SERVER: "missing"},
         "it has other settings of JAX": {**server.environment, "JAX_ENABLE_X64": "1"},
     }
-    *rest, last = _lines(ask(variables[case]), 2 if case == "it is gone" else 1)
-    assert last == "set up by Ray ['" + str(ask.script) + "', '--one=a b', '--language=PYTHON']"
+    *rest, last = _lines(launch(variables[case]), 2 if case == "it is gone" else 1)
+    assert last == "set up by Ray ['" + str(launch.script) + "', '--one=a b', '--language=PYTHON']"
     assert not rest or "no fork server" in rest[0]
 
 

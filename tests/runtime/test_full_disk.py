@@ -74,7 +74,7 @@ def _points(directory):
 
 
 def _wait_until_dropped(reporter, num_rows):
-    """While a sink fails nobody waits for it: its thread may be a row or two behind."""
+    """A failing sink is not waited for: its thread may be a row or two behind."""
     deadline = time.monotonic() + TEST_PATIENCE_S
     while reporter._num_dropped() < num_rows:
         assert time.monotonic() < deadline
@@ -118,11 +118,11 @@ def test_training_goes_on_for_100_updates_on_a_full_disk_and_all_files_after_it(
         reporter.close()
         run.close()
     assert controller.num_updates == 110
-    kept = [*range(1, first + 1), *range(last + 1, 111)]
+    written = [*range(1, first + 1), *range(last + 1, 111)]
     rows = [json.loads(line) for line in (run.metrics / "metrics.jsonl").read_text().splitlines()]  # all are whole
-    assert [row["update"] for row in rows] == kept
+    assert [row["update"] for row in rows] == written
     assert rows[-1]["telemetry/dropped_rows"] == 2 * (last - first)
-    assert sorted(set(_points(run.metrics))) == [number * STEPS for number in kept]
+    assert sorted(set(_points(run.metrics))) == [number * STEPS for number in written]
     for sink in ("metrics.jsonl", "TensorBoard"):
         (failing,) = [row for row in _events(run.path, "sink_failing") if row["sink"] == sink]
         (recovered,) = [row for row in _events(run.path, "sink_recovered") if row["sink"] == sink]
@@ -136,7 +136,7 @@ def test_training_goes_on_for_100_updates_on_a_full_disk_and_all_files_after_it(
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_thread_that_died_is_replaced_and_its_row_counted():
-    heard, rows = [], []
+    noted, rows = [], []
 
     class Sink:
         def write(self, update, metrics):
@@ -147,7 +147,7 @@ def test_a_thread_that_died_is_replaced_and_its_row_counted():
         def close(self):
             pass
 
-    sink = BackgroundSink("x", Sink, lambda kind, details: heard.append((kind, details)))
+    sink = BackgroundSink("x", Sink, lambda kind, details: noted.append((kind, details)))
     for update in (1, 2):
         sink.write(update, ROW)
     rows[0][1].join(0.2)
@@ -158,14 +158,14 @@ def test_a_thread_that_died_is_replaced_and_its_row_counted():
     assert [update for update, _ in rows] == [1, 3, 4]
     assert rows[0][1] is not rows[1][1]
     assert sink.num_dropped == 1
-    assert [kind for kind, _ in heard] == ["sink_failing", "sink_recovered"]
-    assert heard[0][1]["error"] == "the thread that writes has ended" and heard[1][1]["dropped"] == 1
+    assert [kind for kind, _ in noted] == ["sink_failing", "sink_recovered"]
+    assert noted[0][1]["error"] == "the thread that writes has ended" and noted[1][1]["dropped"] == 1
 
 
 def test_a_disk_that_hangs_costs_a_second_once_and_then_rows():
-    """A pipe that nobody reads takes 64 KiB and then blocks its writer, as a network disk does that is gone."""
+    """A pipe without a reader takes 64 KiB and then blocks its writer, as a network disk does that is gone."""
     reading, writing = os.pipe()
-    heard = []
+    noted = []
 
     class Sink:
         def write(self, update, metrics):
@@ -174,7 +174,7 @@ def test_a_disk_that_hangs_costs_a_second_once_and_then_rows():
         def close(self):
             pass
 
-    sink = BackgroundSink("x", Sink, lambda kind, details: heard.append((kind, details)))
+    sink = BackgroundSink("x", Sink, lambda kind, details: noted.append((kind, details)))
     began = time.monotonic()
     num_rows = QUEUE_ROWS + 40
     for update in range(num_rows):
@@ -182,13 +182,13 @@ def test_a_disk_that_hangs_costs_a_second_once_and_then_rows():
     assert PATIENCE_S <= time.monotonic() - began < 2 * PATIENCE_S
     dropped = num_rows - (1 << 16) // 4096 - 1 - QUEUE_ROWS  # one is being written
     assert sink.num_dropped == dropped > 0
-    assert [kind for kind, _ in heard] == ["sink_failing"]
+    assert [kind for kind, _ in noted] == ["sink_failing"]
     num_read = 0
     while num_read < 4096 * (num_rows - dropped):
         num_read += len(os.read(reading, 1 << 16))
     sink.close()
-    assert [kind for kind, _ in heard] == ["sink_failing", "sink_recovered"]
-    assert heard[1][1]["dropped"] == dropped
+    assert [kind for kind, _ in noted] == ["sink_failing", "sink_recovered"]
+    assert noted[1][1]["dropped"] == dropped
     os.close(reading)
     os.close(writing)
 

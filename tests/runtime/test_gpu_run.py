@@ -31,7 +31,7 @@ pytestmark = pytest.mark.gpu
 
 NUM_UPDATES = 120
 COLOCATED = [*TINY, "--run.placement", "colocated", "--run.num_workers", "1", "--run.checkpoint_every", "10"]
-# Machines with GPUs are lent for minutes: these two tests end within so many seconds one beside the other, and say
+# Machines with GPUs are lent for minutes: these two tests end within so many seconds next to each other, and say
 # with `-s` how far they are.
 KILLED_LIMIT_S, SPLIT_LIMIT_S = 170, 100
 
@@ -145,16 +145,16 @@ def test_a_killed_curator_and_a_killed_worker_cost_time_and_change_no_bit(device
     assert recovered["seconds"] > 0
     assert [row["role"] for row in events(run, "process_lost")] == ["curator", "worker"]
     assert rows(run)[-1]["runtime/restarts"] == 2
-    # To an end of its own, and a run without losses that is told from which updates on buffers were used.
+    # To an end of its own, and a run without losses that gets adoptions.json.
     num_updates = rows(run)[-1]["update"] + 1
     finish(start(run, "--resume", *_until(num_updates), device=device), limit_s=steps.left_s)
     steps.done(f"resumed, ended after {num_updates} updates")
-    told = tmp_path / "told"
-    told.mkdir()
-    shutil.copy(run / "adoptions.json", told)
-    finish(start(told, *COLOCATED, *_until(num_updates), device=device), limit_s=steps.left_s)
+    repeated = tmp_path / "repeated"
+    repeated.mkdir()
+    shutil.copy(run / "adoptions.json", repeated)
+    finish(start(repeated, *COLOCATED, *_until(num_updates), device=device), limit_s=steps.left_s)
     steps.done("the same run without losses ended")
-    assert_same_bits(final_arrays(run), final_arrays(told))
+    assert_same_bits(final_arrays(run), final_arrays(repeated))
     steps.done(f"the same bits; recoveries {[row['seconds'] for row in events(run, 'recovered')]} s")
 
 

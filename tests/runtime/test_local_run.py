@@ -56,7 +56,7 @@ def eight_updates(tmp_path_factory):
     return path, reporter.rows
 
 
-def test_a_buffer_asked_for_at_update_k_is_used_from_k_plus_adopt_after_on(eight_updates):
+def test_a_buffer_requested_at_update_k_is_used_from_k_plus_adopt_after_on(eight_updates):
     path, rows = eight_updates  # refresh every 3, adopted after 2; the first at once
     events = [json.loads(line) for line in (path / "events.jsonl").read_text().splitlines()]
     adopted = [(e["policy_version"], e["update"]) for e in events if e["event"] == "buffer_adopted"]
@@ -93,7 +93,7 @@ class _NotingTrainer(ColocatedTrainer):
 
 def test_workers_score_levels_when_they_are_due_so_that_a_resumed_run_makes_an_update_first(eight_updates, tmp_path):
     done = []
-    for num_updates in (4, 8):  # the refresh asked for at 3 is in flight between them
+    for num_updates in (4, 8):  # the refresh requested at 3 is in flight between them
         config = tiny_config(num_updates=num_updates, num_curators=0)
         trainer = _NotingTrainer(config)
         run_updates(config, tmp_path / "run", trainer, WorkerCurator(trainer), resume=num_updates == 8)
@@ -139,7 +139,7 @@ def _stopped_after_five(config, path):
 def test_a_run_stopped_right_before_a_buffer_is_due_has_it_in_its_checkpoint(
     eight_updates, tmp_path, monkeypatch, is_quick
 ):
-    """The one asked for at 3 is due before update 5. Where scoring is slow, who stops does not wait for it."""
+    """The one requested at 3 is due before update 5. Where scoring is slow, a stop does not wait for it."""
     monkeypatch.setattr(refreshes, "MAX_EARLY_S", np.inf if is_quick else 0.0)
     config, path = _with_refreshes_alike(num_updates=8), tmp_path / "run"
     assert _stopped_after_five(config, path) == (["refresh 3"] if is_quick else [])
@@ -278,8 +278,8 @@ def test_a_run_killed_by_sigkill_and_resumed_equals_an_unbroken_one_bit_for_bit(
     assert json.loads((killed / "report.json").read_text())["policy_updates"] == num_updates
 
 
-def test_a_refresh_in_flight_is_asked_for_again_with_the_same_weights(tmp_path):
-    config = tiny_config(num_updates=4, checkpoint_every=4)  # asked for at 3, adopted at 5
+def test_a_refresh_in_flight_is_requested_again_with_the_same_weights(tmp_path):
+    config = tiny_config(num_updates=4, checkpoint_every=4)  # requested at 3, adopted at 5
     _run_local(config, tmp_path / "run")
     arrays = final_arrays(tmp_path / "run")
     assert any(name.startswith("pending/") for name in arrays)

@@ -56,7 +56,7 @@ def unbroken(tmp_path_factory):
 
 
 def _before_calls(monkeypatch, do):
-    """`do(method, trainer)` before what a run asks of its trainer."""
+    """`do(method, trainer)` before each call of a run to its trainer."""
     for method in ("start", "evaluate", "record", "run_update", "snapshot", "facts"):
         call = getattr(ColocatedTrainer, method)
 
@@ -88,13 +88,13 @@ def test_what_a_loss_cut_off_is_repeated_whatever_the_run_was_at(unbroken, tmp_p
 
 
 class Killer:
-    """Ends a process once for every moment it is told of."""
+    """Ends a process once for every given moment."""
 
     def __init__(self, moments):
         self._left = list(moments)
 
     def at(self, moment, pid):
-        """moment: "start" and "recover" once a process is there, else what it is asked for."""
+        """moment: "start" and "recover" once a process is there, else the name of the call."""
         if moment in self._left:
             self._left.remove(moment)
             os.kill(pid, signal.SIGKILL)
@@ -188,14 +188,14 @@ def test_losses_of_an_hour_ago_are_forgotten(monkeypatch):
         losses.lost(WorkerLostError("worker 0 died", process="worker 0"))
 
 
-def test_of_the_log_of_a_lost_process_and_of_its_group_the_end_is_kept(tmp_path):
-    kept, told = {}, []
+def test_the_ends_of_the_logs_of_a_lost_process_and_its_group_are_stored(tmp_path):
+    stored, noted = {}, []
 
     def keep(name, text):
-        kept[name] = text
+        stored[name] = text
         return tmp_path / name
 
-    losses = Losses(limit=9, on_event=lambda kind, **details: told.append(details), on_log=keep)
+    losses = Losses(limit=9, on_event=lambda kind, **details: noted.append(details), on_log=keep)
     texts = {"worker 0": "old\n" + "x" * 70_000 + "\nF1122 check failed", "worker 1": "lost its peer", "worker 2": ""}
     for process, text in {**texts, "curator 0": "well"}.items():
         (tmp_path / "log").mkdir(exist_ok=True)
@@ -204,10 +204,10 @@ def test_of_the_log_of_a_lost_process_and_of_its_group_the_end_is_kept(tmp_path)
     losses.started("worker 3", {"host": "another", "log": str(tmp_path / "log" / "worker 0")})
     losses.started("worker 4", {"host": socket.gethostname(), "log": str(tmp_path / "gone")})
     losses.lost(WorkerLostError("worker 0 died", process="worker 0"))
-    assert sorted(kept) == ["worker_0", "worker_1"] and "old" not in kept["worker_0"]
-    assert kept["worker_0"].endswith("F1122 check failed") and kept["worker_1"] == "lost its peer"
+    assert sorted(stored) == ["worker_0", "worker_1"] and "old" not in stored["worker_0"]
+    assert stored["worker_0"].endswith("F1122 check failed") and stored["worker_1"] == "lost its peer"
     losses.lost(WorkerLostError("worker 2 died", process="worker 2"))
-    assert [row.get("log") for row in told] == [str(tmp_path / "worker_0"), None]
+    assert [row.get("log") for row in noted] == [str(tmp_path / "worker_0"), None]
 
 
 # The curator
@@ -222,18 +222,18 @@ class LaterTicket(LocalFuture):
 
 
 class BusyProcess(LocalBackend):
-    """Answers a call once it is told to."""
+    """Answers a call once the test says so."""
 
     def __init__(self):
         super().__init__()
-        self.plan, self.asked, self.done = None, [], 0
+        self.plan, self.requested, self.done = None, [], 0
 
     def spawn_in_background(self, plan, build, *arguments):
         return self
 
     def call_with_header(self, method, weights, policy_version, part, num_parts, probe, given):
-        number = len(self.asked)
-        self.asked.append(policy_version)
+        number = len(self.requested)
+        self.requested.append(policy_version)
         return LaterTicket({"seconds": 1.0, "probe": {}}, lambda: self.done > number), LocalFuture(policy_version)
 
 
@@ -244,17 +244,17 @@ def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
         curator.request(LocalFuture(None), version, None, None)
         assert curator.take(patience_s=-1.0) is None
         curator.cancel()
-    assert process.asked == [0]
+    assert process.requested == [0]
     curator.request(LocalFuture(None), 12, None, None)
     process.done = 1
     curator.watch()
-    assert process.asked == [0, 12]
+    assert process.requested == [0, 12]
     # It is at work again, so it is waited for: else one that is slower than its orders come would never be in time.
     threading.Timer(0.1, setattr, (process, "done", 2)).start()
     assert curator.take(patience_s=1.0).parts[0].fetch() == 12
 
 
-def _train_beside(config, backend, path, at_update=None):
+def _train_in_background(config, backend, path, at_update=None):
     """(controller, rows). at_update(number, curator) is called after every update."""
     placement = plan_placement(config, num_gpus=0)
     trainer = ColocatedTrainer(config, backend, placement.of("worker"))
@@ -273,7 +273,7 @@ def _train_beside(config, backend, path, at_update=None):
 def test_training_goes_on_without_a_curator_and_what_is_computed_again_does_the_same(
     backend, tmp_path, number_of_signal
 ):
-    """The refresh asked for at 3 is due at 5. In an update in which nothing is computed, waiting is what takes time."""
+    """The refresh requested at 3 is due at 5. In an update in which nothing is computed, waiting is what takes time."""
     config = tiny_config(num_updates=40, placement="colocated", checkpoint_every=100)
     times, stopped = {}, []
 
@@ -285,7 +285,7 @@ def test_training_goes_on_without_a_curator_and_what_is_computed_again_does_the_
         if number == 8 and number_of_signal == signal.SIGSTOP:
             os.kill(stopped[0], signal.SIGCONT)
 
-    rows_of = _train_beside(config, backend, tmp_path / "ray", stop_it)
+    rows_of = _train_in_background(config, backend, tmp_path / "ray", stop_it)
     stale = [row["update"] for row in rows_of if row["curriculum/buffer_is_stale"]]
     assert 6 in stale, stale
     (late,) = events(tmp_path / "ray", "buffer_late", policy_version=3)
@@ -294,7 +294,7 @@ def test_training_goes_on_without_a_curator_and_what_is_computed_again_does_the_
     assert longest < MIN_PATIENCE_S + 2.0
     lost = [row["role"] for row in events(tmp_path / "ray", "process_lost")]
     assert lost == (["curator"] if number_of_signal == signal.SIGKILL else [])
-    # The refresh of version 3 was adopted late or never: a run that is told so is the same, bit for bit.
+    # The refresh of version 3 was adopted late or never: a run with its adoptions.json is the same, bit for bit.
     record = json.loads((tmp_path / "ray" / "adoptions.json").read_text())
     assert record["0"] == 0
     assert record["3"] is None or record["3"] > 5
@@ -303,5 +303,5 @@ def test_training_goes_on_without_a_curator_and_what_is_computed_again_does_the_
     again = RunDirectory.create(tmp_path / "again", numbered=False)
     again.write_json(again.adoptions_path, record)
     again.close()
-    _train_beside(config, LocalBackend(), tmp_path / "again")
+    _train_in_background(config, LocalBackend(), tmp_path / "again")
     assert_same_bits(final_arrays(tmp_path / "again"), final_arrays(tmp_path / "ray"))

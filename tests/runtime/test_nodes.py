@@ -48,11 +48,11 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     """Two workers and a curator in three slots, one of them on a second node."""
     node = cluster.add_node(num_cpus=1)
     ray.init(address=cluster.address, log_to_driver=False)
-    backend, notes, told = RayBackend(heartbeat_seconds=60.0), [], []
+    backend, notes, noted = RayBackend(heartbeat_seconds=60.0), [], []
     config = tiny_config(num_updates=1, placement="colocated", num_workers=2, node_wait_seconds=0.5)
     placement, trainer, stop = plan_placement(config, num_gpus=0), _Placed(), StopSignals()
     backend.reserve(placement)
-    listen = {"on_event": lambda kind, **details: told.append((kind, details)), "on_note": notes.append}
+    listen = {"on_event": lambda kind, **details: noted.append((kind, details)), "on_note": notes.append}
     resizing = Resizing(config, backend, placement, trainer, {"curator": _Placed()}, **listen)
     resizing.fit(3, stop)
     assert not notes and not resizing.can_grow()  # nothing is lost
@@ -60,8 +60,8 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     cluster.remove_node(node)
     resizing.fit(4, stop)
     assert [process.name for process in trainer.placement.processes] == ["worker 0", "curator 0"]
-    assert told == [("resized", {"role": "worker", "before": 2, "now": 1, "update": 4})]
-    assert "2 workers have no room: " in notes[0] and ", 1 lost; waits 0.5 s" in notes[0]
+    assert noted == [("resized", {"role": "worker", "before": 2, "now": 1, "update": 4})]
+    assert "2 workers do not fit: " in notes[0] and ", 1 lost; waits 0.5 s" in notes[0]
     assert "goes on with 1 worker instead of 2" in notes[-1]
     assert not resizing.can_grow()
     began = time.monotonic()
@@ -73,7 +73,7 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     node = cluster.add_node(num_cpus=1)
     _wait_until(resizing.can_grow)
     resizing.place(6, stop)
-    assert resizing.size == 2 and told[-1][1]["now"] == 2
+    assert resizing.size == 2 and noted[-1][1]["now"] == 2
 
 
 def _wait_until(condition):
@@ -141,7 +141,7 @@ def test_training_waits_for_a_node_with_one_line_where_it_must_not_shrink(cluste
     try:
         wait_for(lambda: len(rows(run)) >= 7, process, "update 7")
         cluster.remove_node(node)
-        wait_for(lambda: any("(run.min_workers) have no room" in line for line in said), process, "the line")
+        wait_for(lambda: any("(run.min_workers) do not fit" in line for line in said), process, "the line")
         node = cluster.add_node(num_cpus=1)
         wait_for(lambda: bool(events(run, "recovered", role="worker")), process, "the recovery")
         process.send_signal(signal.SIGTERM)
@@ -149,15 +149,15 @@ def test_training_waits_for_a_node_with_one_line_where_it_must_not_shrink(cluste
     finally:
         process.kill()
     assert process.returncode == EXIT_STOPPED
-    assert sum("have no room" in line for line in said) == 2  # that it was lost, and that it is waited for
+    assert sum("do not fit" in line for line in said) == 2  # that it was lost, and that it is waited for
     assert all(row["differs"] == [] for row in events(run, "resumed"))
 
 
 def test_a_split_run_gives_up_rollout_actors_before_learners():
     """Two learners and three actors: all sizes that are tried, the largest first. No node is needed."""
     config = tiny_config(num_updates=1, placement="split", num_learners=2, num_rollout_actors=3, min_workers=2)
-    told = {"on_event": lambda kind, **details: None, "on_note": lambda text: None}
-    resizing = Resizing(config, None, plan_placement(config, num_gpus=0), _Placed(), {}, **told)
+    noted = {"on_event": lambda kind, **details: None, "on_note": lambda text: None}
+    resizing = Resizing(config, None, plan_placement(config, num_gpus=0), _Placed(), {}, **noted)
     assert resizing.size == 5
     tried = resizing._smaller_and_smaller(resizing._least)
     assert [(c.run.num_learners, c.run.num_rollout_actors) for c in tried] == [(2, 3), (2, 2), (1, 3), (1, 2)]

@@ -108,7 +108,7 @@ def unbroken(request, tmp_path_factory):
     return config, path, _train(config, path, resume=False, reporter=reporter), reporter.notes
 
 
-def test_each_phase_is_told_and_counted(unbroken):
+def test_each_phase_is_noted_and_counted(unbroken):
     config, path, rows, notes = unbroken
     assert [row["progress/phase"] for row in rows] == [0, 1, 1, 2, 2]
     assert [row["progress/env_steps"] for row in rows] == [128, 256, 384, 640, 896]
@@ -140,9 +140,9 @@ def test_a_run_resumed_just_before_or_just_after_a_change_equals_the_unbroken_on
         if int(checkpoint.name) > saved_at:
             shutil.rmtree(checkpoint)
     resumed = _train(config, tmp_path / "cut", resume=True)
-    told = ("train/", "learner/", "curriculum/", "progress/env_steps", "progress/phase")
+    compared = ("train/", "learner/", "curriculum/", "progress/env_steps", "progress/phase")
     for ours, theirs in zip(resumed, rows[saved_at:], strict=True):
-        names = [name for name in theirs if name.startswith(told) and "second" not in name]
+        names = [name for name in theirs if name.startswith(compared) and "second" not in name]
         np.testing.assert_equal({name: ours[name] for name in names}, {name: theirs[name] for name in names})
     assert_same_bits(final_arrays(tmp_path / "cut"), final_arrays(path))
 

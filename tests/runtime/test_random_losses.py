@@ -82,14 +82,14 @@ def _tell(placement, killed, run, seconds):
     """Prints the outcome, for `pytest -s`."""
     lost = events(run, "process_lost")
     recovered = {role: [row["seconds"] for row in events(run, "recovered", role=role)] for role in ROLES}
-    told = {
+    seconds = {
         role: f"{len(seconds)}, median {statistics.median(seconds):.1f} s, max {max(seconds):.1f} s"
         for role, seconds in recovered.items()
         if seconds
     }
     sections = dict(collections.Counter(row["section"] for row in lost))
     print(f"\n{placement}: killed {dict(collections.Counter(killed))}, {seconds:.0f} s in all")
-    print(f"  {len(lost)} losses, by section {sections}; recoveries {told}; late {len(events(run, 'buffer_late'))}")
+    print(f"  {len(lost)} losses, by section {sections}; recoveries {seconds}; late {len(events(run, 'buffer_late'))}")
 
 
 @pytest.mark.slow
@@ -112,7 +112,7 @@ def test_a_run_whose_processes_are_killed_at_random_ends_as_an_unbroken_one(tmp_
     finish(start(run, "--resume", *_until(num_updates)), limit_s=LIMIT_S)
     assert [row["update"] for row in rows(run)] == list(range(1, num_updates + 1))
     assert not [process for process in seen if is_alive(process)]
-    # The same without a loss, told only from which updates on buffers were used.
+    # The same without a loss, given adoptions.json.
     whole = tmp_path / "whole"
     whole.mkdir()
     shutil.copy(run / "adoptions.json", whole)

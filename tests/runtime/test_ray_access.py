@@ -36,7 +36,7 @@ def test_a_new_token_is_for_its_user_alone(home):
     assert secure_token() is None and path.read_text() == token
 
 
-def test_a_token_that_others_could_read_is_closed_and_kept(home, monkeypatch):
+def test_a_token_that_others_could_read_is_closed_and_stays(home, monkeypatch):
     path = home / "token"
     path.write_text("a" * 64)
     path.chmod(0o644)
@@ -46,7 +46,7 @@ def test_a_token_that_others_could_read_is_closed_and_kept(home, monkeypatch):
     assert not (home / ".ray").exists()
 
 
-def test_ray_leaves_signals_to_whoever_had_them():
+def test_ray_leaves_signal_handlers_alone():
     """Ray's handler would end a run that is stopped while it starts, with a status of Ray's own."""
     before = signal.getsignal(signal.SIGTERM)
     with own_signals():
@@ -74,12 +74,12 @@ def test_a_cluster_is_given_the_token_where_there_is_one(home, monkeypatch):
 
 def test_a_token_file_that_cannot_be_made_is_refused(home):
     (home / ".ray").write_text("")
-    with pytest.raises(PlacementError, match=r"auth_token cannot be kept from others .*RAY_AUTH_TOKEN_PATH"):
+    with pytest.raises(PlacementError, match=r"auth_token cannot be hidden from others .*RAY_AUTH_TOKEN_PATH"):
         secure_token()
 
 
 def test_a_cluster_that_is_not_there_is_said_in_one_line(home, monkeypatch, capsys):
-    with socket.socket() as taken:  # bound and not listening: nobody answers, and nobody else gets it
+    with socket.socket() as taken:  # bound and not listening: no program answers, and no other gets it
         taken.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         monkeypatch.setenv("RAY_ADDRESS", address)
@@ -102,7 +102,7 @@ sys.stdin.read()
 
 @pytest.mark.slow
 def test_a_wrong_and_a_missing_token_are_refused_in_one_line(home):
-    """A real Ray cluster of one node, which is asked with another token and without one."""
+    """A real Ray cluster of one node, joined with another token and without one."""
     environment = {**os.environ, "PYTHONPATH": python_path(), "JAX_PLATFORMS": "cpu"}
     head = subprocess.Popen(
         [sys.executable, "-c", HEAD], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

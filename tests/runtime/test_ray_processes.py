@@ -1,4 +1,4 @@
-"""Ray processes by themselves: who shares a GPU, and what a failure in one says. GPUs are slots of Ray's books here."""
+"""Ray processes by themselves: sharing of GPUs, and lines of failures. GPUs are slots of Ray's books here."""
 
 import dataclasses
 import gc
@@ -25,10 +25,10 @@ from kinetix_dist.telemetry.names import check_metrics
 from tests.helpers import PATIENCE_S
 from tests.runtime.cores_for_tests import (
     build_compiler,
+    build_facts,
     build_from_missing_levels,
     build_greedy,
     build_together,
-    build_told,
 )
 from tests.runtime.runs import without_evaluator
 
@@ -45,7 +45,7 @@ def backend():
 
 
 def _plan_of_slots(num_gpus=3):
-    """A worker a GPU and a curator; their memory is not shared out, since there is no GPU to ask."""
+    """A worker a GPU and a curator; their memory is not shared out, since there is no GPU."""
     placement = plan_placement(without_evaluator(recipe("sfl_s")), num_gpus=num_gpus)
     processes = tuple(dataclasses.replace(p, memory=None, env_vars=ON_CPU) for p in placement.processes)
     return dataclasses.replace(placement, processes=processes)
@@ -58,13 +58,13 @@ def _devices(handles, backend):
 def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_restart(backend):
     placement = _plan_of_slots(num_gpus=2)  # of three
     backend.reserve(placement)
-    workers = [backend.spawn([process], build_told)[0] for process in placement.of("worker")]
-    curator = backend.spawn(placement.of("curator"), build_told)[0]
+    workers = [backend.spawn([process], build_facts)[0] for process in placement.of("worker")]
+    curator = backend.spawn(placement.of("curator"), build_facts)[0]
     first = _devices(workers, backend)
     assert len(set(first)) == 2 and set(first) < {"0", "1", "2"}
     assert _devices([curator], backend) == first[:1]
     backend.kill(workers)
-    again = [backend.spawn([process], build_told)[0] for process in reversed(placement.of("worker"))][::-1]
+    again = [backend.spawn([process], build_facts)[0] for process in reversed(placement.of("worker"))][::-1]
     assert _devices(again, backend) == first
     backend.kill([*again, curator])
 
@@ -120,7 +120,7 @@ def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
         pytest.skip("there is a GPU here")
     (process, _) = plan_placement(without_evaluator(recipe("sfl_s")), num_gpus=1).processes
     with pytest.raises(ProcessFailedError, match=r"^worker 0 failed: the NVIDIA driver"):
-        backend.spawn([dataclasses.replace(process, gpu=None, gpu_share=0.0)], build_told)
+        backend.spawn([dataclasses.replace(process, gpu=None, gpu_share=0.0)], build_facts)
 
 
 def test_learners_and_actors_are_started_at_the_same_time(backend, tmp_path):
@@ -139,10 +139,10 @@ def test_learners_and_actors_are_started_at_the_same_time(backend, tmp_path):
 def test_a_port_that_is_taken_after_it_was_found_free_is_a_loss_and_not_the_end(backend, monkeypatch):
     """Another program takes it between the two: the group is lost, and started again with another port."""
     plans = [ProcessPlan(role="worker", index=index, env_vars=ON_CPU) for index in range(2)]
-    ask, taken = backend._all, []
+    query, taken = backend._all, []
 
     def ask_and_take(actors, references):
-        answers = ask(actors, references)
+        answers = query(actors, references)
         if isinstance(answers[0], str) and answers[0].count(":") == 1:
             host, _, port = answers[0].partition(":")
             taken.append(socket.create_server((host, int(port))))
@@ -150,7 +150,7 @@ def test_a_port_that_is_taken_after_it_was_found_free_is_a_loss_and_not_the_end(
 
     monkeypatch.setattr(backend, "_all", ask_and_take)
     with pytest.raises(WorkerLostError, match=r"worker 0 (found the port of its group taken|died)"):
-        backend.spawn(plans, build_told)
+        backend.spawn(plans, build_facts)
     assert len(taken) == 1
     taken[0].close()
 
@@ -197,12 +197,12 @@ def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, r
 def test_what_is_needed_next_is_fetched_while_a_call_computes_and_storing_it_is_timed(backend, restarted):
     (learner, actor), _ = restarted
     computing = learner.call("compute_until_handed", 60.0)
-    stamp, content = actor.call_with_header("give", 1 << 20)
-    (found,) = backend.gather([stamp])
+    header, content = actor.call_with_header("give", 1 << 20)
+    (found,) = backend.gather([header])
     assert found["size"] == found["put"][0] == 1 << 20 and found["put"][1] > 0
     handed = learner.call_in_background("hand", content)
     first = backend.first_ready([computing, handed])
-    assert first and all(ticket is computing or ticket is handed for ticket in first)
+    assert first and all(future is computing or future is handed for future in first)
     assert backend.gather([computing, handed]) == [1 << 20, None]
     with pytest.raises(ProcessFailedError, match="worker 1 failed"):
         backend.gather([actor.call_with_header("give", -1)[0]])
@@ -222,27 +222,27 @@ def _wait_for(condition, seconds=PATIENCE_S):
         time.sleep(0.1)
 
 
-def test_answers_that_nobody_fetches_or_whose_process_dies_while_it_stores_them_leave_nothing(backend, tmp_path):
+def test_answers_that_are_never_fetched_or_whose_process_dies_while_it_stores_them_leave_nothing(backend, tmp_path):
     (process,) = backend.spawn([ProcessPlan(role="rollout", index=0, env_vars=ON_CPU)], build_compiler, str(tmp_path))
     before = _stored_mib()
-    stamp, content = process.call_with_header("give_what_cannot_be_stored")
-    for ticket in (stamp, content):
+    header, content = process.call_with_header("give_what_cannot_be_stored")
+    for future in (header, content):
         with pytest.raises(ProcessFailedError, match="rollout 0 failed: TypeError: cannot pickle"):
-            backend.gather([ticket])
+            backend.gather([future])
     assert ray.get(process.actor.doing.remote()).what == "idle"  # the call is over for the process, too
-    stamp, content = process.call_with_header("give", 32 << 20)
-    backend.gather([stamp])
+    header, content = process.call_with_header("give", 32 << 20)
+    backend.gather([header])
     assert _stored_mib() == before + 32
     del content
     _wait_for(lambda: _stored_mib() == before)
-    stamp, content = process.call_with_header("give_and_hang", 32 << 20, str(tmp_path / "stored"))
+    header, content = process.call_with_header("give_and_hang", 32 << 20, str(tmp_path / "stored"))
     _wait_for((tmp_path / "stored").exists)
     assert _stored_mib() == before + 32 and not content.is_ready()
     os.kill(process.pid, signal.SIGKILL)
-    for ticket in (stamp, content):
+    for future in (header, content):
         with pytest.raises(WorkerLostError, match="rollout 0 died"):
-            backend.gather([ticket])
-    del stamp, content, ticket
+            backend.gather([future])
+    del header, content, future
     _wait_for(lambda: _stored_mib() == before)
     backend.kill([process])
 
@@ -272,7 +272,7 @@ def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_li
 def test_settings_of_the_network_reach_processes_and_others_do_not(backend, monkeypatch):
     monkeypatch.setenv("NCCL_SOCKET_IFNAME", "eth7")
     monkeypatch.setenv("SOMETHING_ELSE", "here")
-    handle = backend.spawn([ProcessPlan(role="curator", index=0, env_vars=ON_CPU)], build_told)[0]
+    handle = backend.spawn([ProcessPlan(role="curator", index=0, env_vars=ON_CPU)], build_facts)[0]
     calls = [handle.call("environment", name) for name in ("NCCL_SOCKET_IFNAME", "SOMETHING_ELSE")]
     assert backend.gather(calls) == ["eth7", None]
     backend.kill([handle])
@@ -328,7 +328,7 @@ def test_a_process_says_that_it_compiles_and_nothing_else_is_taken_for_that():
     assert of_thread(lambda: traced(1.0)) == 0.0
 
 
-def test_a_process_that_dies_while_nothing_is_asked_of_it_is_noticed_where_others_are_waited_for(backend, tmp_path):
+def test_an_idle_process_that_dies_is_noticed_where_others_are_waited_for(backend, tmp_path):
     plans = [ProcessPlan(role="rollout", index=index, env_vars=ON_CPU) for index in range(2)]
     idle, well = backend.spawn(plans, build_compiler, str(tmp_path))
     backend.check([idle])
@@ -336,7 +336,7 @@ def test_a_process_that_dies_while_nothing_is_asked_of_it_is_noticed_where_other
     os.kill(idle.pid, signal.SIGKILL)
     began = time.monotonic()
     with pytest.raises(WorkerLostError, match="rollout 0 died") as caught:
-        backend.first_ready([working], beside=[idle])
+        backend.first_ready([working], watched=[idle])
     assert caught.value.process == "rollout 0" and time.monotonic() - began < 15.0
     with pytest.raises(WorkerLostError, match="rollout 0 died"):
         backend.check([idle])

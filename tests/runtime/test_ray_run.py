@@ -1,4 +1,4 @@
-"""Real Ray processes on CPU: the same numbers as in one process, whoever dies in between."""
+"""Real Ray processes on CPU: the same numbers as in one process, whichever process dies in between."""
 
 import contextlib
 import dataclasses
@@ -74,7 +74,7 @@ def test_a_curator_a_worker_and_the_one_in_its_place_are_killed_and_nothing_is_l
     """One of two curators dies with its part of the refresh of update 3, due at 5: training goes on, and the buffer
     comes late or never.
 
-    An unbroken run that is told so, and has one curator, is the same, bit for bit.
+    An unbroken run with that adoptions.json, which has one curator, is the same, bit for bit.
     """
     times, killed = {}, []
 
@@ -110,11 +110,11 @@ def test_a_curator_a_worker_and_the_one_in_its_place_are_killed_and_nothing_is_l
     assert last["runtime/recovery_seconds_worker"] == pytest.approx(recovered["seconds"], abs=0.01)
     record = json.loads((ray / "adoptions.json").read_text())
     assert record["0"] == 0 and (record["3"] is None or record["3"] > 5)
-    told = tmp_path / "told"
-    told.mkdir()
-    shutil.copy(ray / "adoptions.json", told)
-    _run(tiny_config(num_updates=10, placement="colocated"), told, LocalBackend())
-    assert_same_bits(final_arrays(told), final_arrays(ray))
+    repeated = tmp_path / "repeated"
+    repeated.mkdir()
+    shutil.copy(ray / "adoptions.json", repeated)
+    _run(tiny_config(num_updates=10, placement="colocated"), repeated, LocalBackend())
+    assert_same_bits(final_arrays(repeated), final_arrays(ray))
 
 
 def test_a_worker_that_scores_levels_itself_is_killed_over_it_and_nothing_is_lost(ray_backend, local_arrays, tmp_path):
@@ -134,8 +134,8 @@ def test_a_worker_that_scores_levels_itself_is_killed_over_it_and_nothing_is_los
 
 def test_a_fork_server_that_is_stopped_is_replaced(ray_backend, local_arrays, tmp_path, monkeypatch):
     """Every process that starts would wait for it, and count as lost."""
-    heard = []
-    monkeypatch.setattr(ray_backend, "_on_event", lambda kind, **details: heard.append((kind, details)))
+    noted = []
+    monkeypatch.setattr(ray_backend, "_on_event", lambda kind, **details: noted.append((kind, details)))
     before = ray_backend._fork_server.pid
 
     def stop_it(number, trainer, curator):
@@ -144,7 +144,7 @@ def test_a_fork_server_that_is_stopped_is_replaced(ray_backend, local_arrays, tm
             os.kill(trainer._handles[0].pid, signal.SIGKILL)
 
     _run(tiny_config(num_updates=8, placement="colocated"), tmp_path / "ray", ray_backend, at_update=stop_it)
-    assert ("fork_server_lost", {"reason": "is stopped"}) in heard
+    assert ("fork_server_lost", {"reason": "is stopped"}) in noted
     assert ray_backend._fork_server.pid != before
     assert_same_bits(final_arrays(tmp_path / "ray"), local_arrays)
 
@@ -186,9 +186,9 @@ def test_a_killed_rollout_actor_is_replaced_and_its_steps_are_counted_as_dropped
     assert_same_bits(final_arrays(tmp_path / "ray"), final_arrays(tmp_path / "local"))
 
 
-# Parts of a user: an observation and a curriculum that the system has never heard of
+# Parts of a user: an observation and a curriculum that the system does not know
 
-PLUGINS = ("tests.runtime.fake_observation", "tests.runtime.fake_curriculum")
+PLUGINS = ("examples.own_observation", "examples.own_curriculum")
 
 
 def _config_of_a_user(*, num_updates, **run):

@@ -1,4 +1,4 @@
-"""`ray stop --force` beside a run, or the end of a server of Ray: the run ends with one line and leaves nothing."""
+"""`ray stop --force` next to a run, or the end of a server of Ray: the run ends with one line and leaves nothing."""
 
 import json
 import os
@@ -33,15 +33,15 @@ def test_a_run_whose_ray_is_stopped_ends_with_one_line_and_goes_on_bit_for_bit(t
     environment = {**os.environ, "PYTHONPATH": python_path()}
     done = subprocess.run(command, cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
-    assert told["status"] == 1, told
-    line = told["errors"].strip().splitlines()[-1]
+    outcome = json.loads(done.stdout.splitlines()[-1])
+    assert outcome["status"] == 1, outcome
+    line = outcome["errors"].strip().splitlines()[-1]
     # Both servers are ended; which of them was gone when it was noticed is a matter of time.
     assert re.match(r"kinetix-dist: Ray was ended on this machine \((gcs_server|raylet|gcs_server, raylet)\)", line), (
         line
     )
-    assert line.endswith(f"try again with --run {run} --resume") and "Traceback" not in told["errors"]
-    assert told["seconds"] < 30.0 and told["left"] == []
+    assert line.endswith(f"try again with --run {run} --resume") and "Traceback" not in outcome["errors"]
+    assert outcome["seconds"] < 30.0 and outcome["left"] == []
     assert events(run, "run_failed")
     total = str((rows(run)[-1]["update"] + 5) * STEPS_PER_UPDATE)
     finish(start(run, "--resume", "--run.total_env_steps", total))

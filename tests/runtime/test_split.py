@@ -102,8 +102,8 @@ def test_learners_and_actors_that_are_lost_change_no_bit_of_what_one_learner_lea
     assert [row["update"] for row in rows] == expected
     assert_same_bits(final_arrays(tmp_path / "run"), two_devices)
     description = newest_good(tmp_path / "run" / "checkpoints")[0].description
-    told = {"learners": 2, "rollout_actors": config.run.num_rollout_actors, "devices": 2}
-    assert description["topology"].items() >= told.items()
+    found = {"learners": 2, "rollout_actors": config.run.num_rollout_actors, "devices": 2}
+    assert description["topology"].items() >= found.items()
     other = description["topology"] | {"learners": 1, "devices": 1}
     assert set(what_differs(description, other)) == {"learners 1 instead of 2", "devices 1 instead of 2"}
     copied = {name.removesuffix("_mib") for name in rows[-1] if name.startswith("copies/") and name.endswith("_mib")}
@@ -147,10 +147,10 @@ def test_a_run_goes_on_with_other_numbers_of_learners_and_actors_and_says_so(ray
     other = split_config(num_learners=1, num_rollout_actors=3)
     assert other.hash == config.hash
     _train(other, path, ray_backend, resume=True, reporter=reporter)
-    told = " ".join(reporter.notes)
+    found = " ".join(reporter.notes)
     for words in ("learners 1 instead of 2", "rollout_actors 3 instead of 2", "devices 1 instead of 2"):
-        assert words in told
-    assert "not bit for bit" in told
+        assert words in found
+    assert "not bit for bit" in found
     arrays = final_arrays(path)
     for name, expected in two_devices.items():
         if name.startswith("learner/params"):
@@ -187,7 +187,7 @@ def test_an_actor_that_is_held_back_is_named_and_lag_stays_bounded(tmp_path):
         driver.communicate(timeout=PATIENCE_S)
     finally:
         driver.kill()
-    told = events(run, "straggler", process="rollout 1")[0]
-    assert told["seconds"] > TIMES_THE_OTHERS * told["seconds_of_others"] > 0
+    found = events(run, "straggler", process="rollout 1")[0]
+    assert found["seconds"] > TIMES_THE_OTHERS * found["seconds_of_others"] > 0
     assert max(row["runtime/policy_lag_max"] for row in rows(run)) == 1
     assert rows(run)[-1]["runtime/dropped_steps"] == 0

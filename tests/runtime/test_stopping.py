@@ -102,7 +102,7 @@ with StopSignals() as stop:
         Dying()
         time.sleep(60)
     except StopRequested:
-        print("asked", stop.requested)
+        print("requested", stop.requested)
 """
 
 
@@ -122,7 +122,7 @@ def test_while_its_processes_on_ray_start_a_run_ends_at_once(tmp_path):
 )
 def test_with_processes_on_ray_a_signal_to_all_ends_the_run_in_order(tmp_path, reaches):
     """timeout(1) signals its process group: the update is saved. Slurm signals at the end of a job everything in it:
-    Ray's servers end themselves then, and no process that they are asked to end, so an update may be lost."""
+    Ray's servers end themselves then, and no process that they are to end, so an update may be lost."""
     run = tmp_path / "run"
     process = start(run, *TINY, *FOR_EVER, "--run.placement", "colocated", new_session=True)
     wait_for(lambda: len(rows(run)) >= 3, process, "three updates")
@@ -147,7 +147,7 @@ def test_with_processes_on_ray_a_signal_to_all_ends_the_run_in_order(tmp_path, r
 def test_a_signal_while_an_object_is_collected_is_not_swallowed():
     """Python prints what is raised there and goes on."""
     done = subprocess.run([sys.executable, "-c", SWALLOWED], cwd=REPOSITORY, capture_output=True, timeout=PATIENCE_S)
-    assert (done.stdout, done.stderr) == (b"asked SIGTERM\n", b"")
+    assert (done.stdout, done.stderr) == (b"requested SIGTERM\n", b"")
 
 
 SLOW = """
@@ -161,7 +161,7 @@ with StopSignals(limit_s=float(sys.argv[1])) as stop:
         print("between", flush=True)
         time.sleep(60)
     except StopRequested:
-        print("asked", stop.requested, flush=True)
+        print("requested", stop.requested, flush=True)
 """
 
 
@@ -207,7 +207,7 @@ def test_an_update_that_does_not_end_is_given_up_and_waiting_is_left_at_once():
     process = _slow(50, "between")
     process.send_signal(signal.SIGTERM)
     output, _ = process.communicate(timeout=PATIENCE_S)
-    assert (process.returncode, output) == (0, b"asked SIGTERM\n")
+    assert (process.returncode, output) == (0, b"requested SIGTERM\n")
 
 
 @pytest.mark.slow

@@ -346,7 +346,7 @@ def test_a_start_that_is_none_is_refused_before_a_directory_is_made(capsys, tmp_
         assert not (tmp_path / "run").exists()
 
 
-def test_a_start_is_kept_as_the_path_that_it_was(tmp_path, monkeypatch):
+def test_a_start_stays_the_path_that_it_was(tmp_path, monkeypatch):
     (tmp_path / "here" / "policy").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "here")
     assert parse(["--from", "policy"]).config.run.start_from == str(tmp_path / "here" / "policy")
@@ -354,15 +354,15 @@ def test_a_start_is_kept_as_the_path_that_it_was(tmp_path, monkeypatch):
 
 
 def test_a_checkpoint_of_other_settings_of_the_engine_is_refused(capsys, tmp_path):
-    asked = ["--recipe", "pretrain_l", "--run.device", "cpu", "--env.physics.joint_hertz", "60"]
-    line = _refusal(capsys, *asked, *FROM_GENERALIST, "--run", tmp_path / "run")
+    options = ["--recipe", "pretrain_l", "--run.device", "cpu", "--env.physics.joint_hertz", "60"]
+    line = _refusal(capsys, *options, *FROM_GENERALIST, "--run", tmp_path / "run")
     assert "learned with other settings of the engine: joint_hertz 88.0 instead of 60.0" in line
     assert "--run.start_other_engine True" in line
 
 
-def test_a_checkpoint_without_an_optimiser_is_refused_where_that_is_asked_for(capsys, tmp_path):
-    asked = ["--recipe", "pretrain_l", "--run.start_optimizer", "True", "--run.device", "cpu"]
-    line = _refusal(capsys, *asked, *FROM_GENERALIST, "--run", tmp_path / "run")
+def test_a_checkpoint_without_an_optimiser_is_refused_where_one_is_requested(capsys, tmp_path):
+    options = ["--recipe", "pretrain_l", "--run.start_optimizer", "True", "--run.device", "cpu"]
+    line = _refusal(capsys, *options, *FROM_GENERALIST, "--run", tmp_path / "run")
     assert "pretrained/generalist holds the parameters of a policy and no optimiser" in line
     assert "start_from names no checkpoint; give one (--from)" in _refusal(capsys, "--run.start_optimizer", "True")
 
@@ -435,7 +435,7 @@ def test_an_unknown_preset_and_bad_physics_are_refused(capsys):
 def test_a_family_of_mechanisms_that_a_size_has_no_room_for(capsys, options, size, families):
     said = _refusal(capsys, *options)
     assert f"levels of size '{size}' have room for none; add one of " in said and families in said
-    # Where there is room, whatever comes first on the command line.
+    # Where they fit, whatever comes first on the command line.
     parse(["--recipe", "tiny", "--curriculum.generator", "runner", "--env.size", "l"])
     assert "Settings.substeps is 0" in _refusal(capsys, "--recipe", "tiny", "--env.physics.substeps", "0")
     line = _refusal(capsys, "--env.preset", "paper", "--env.physics.solver_batch_size", "16")

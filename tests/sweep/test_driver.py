@@ -15,7 +15,7 @@ from kinetix_dist.sweep import driver
 from kinetix_dist.sweep.arms import runs_of
 from kinetix_dist.sweep.driver import RunsFailedError, Sweep, SweepStoppedError, done_so_far
 from kinetix_dist.sweep.objective import read_curve
-from kinetix_dist.sweep.picture import draw
+from kinetix_dist.sweep.results import draw
 from kinetix_dist.sweep.slots import Slot
 from tests.sweep.designs import design, halving_text, text
 

@@ -2,9 +2,9 @@
 
     build about the origin -> on the floor at one side -> goal at the other -> obstacle between -> permute slots
 
-Arms and beams hang in the middle instead, with the goal within reach, and flyers begin in the air. Green is what is
-carried (chassis, torso), pushed or balanced, or the last link of an arm; blue is a circle. Nothing overlaps at the
-start but what is joined: green's side and the goal's are apart by construction. Everything is for one level, pure, and
+Arms and beams hang in the middle instead, with the goal within reach, and flyers begin in the air. Green is the carried
+part (chassis, torso), the load, the balanced part, or the last link of an arm; blue is a circle. Only joined shapes
+overlap at the start: green's side and the goal's are apart by construction. Everything is for one level, pure, and
 works inside jit and vmap; sizes are those at which motors and thrusters of these powers move the mechanism.
 """
 
@@ -147,8 +147,8 @@ def _with_goal(draws: Draws, way: Draws, table: Table, num_blocks: int | None, r
     goal_x = jnp.where(is_mirrored, WORLD_SIZE_M - goal_x, goal_x)
     obstacle_x = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_x, obstacle_x)
     obstacle_ends = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_ends[::-1], obstacle_ends)
-    beside = jnp.stack([middle_x, FLOOR_TOP_M + CLEARANCE_M + task.height - lowest[1]])
-    table = table.moved(jnp.where(is_placed, task.middle.value, beside))
+    on_floor = jnp.stack([middle_x, FLOOR_TOP_M + CLEARANCE_M + task.height - lowest[1]])
+    table = table.moved(jnp.where(is_placed, task.middle.value, on_floor))
     goal = jnp.where(is_placed, task.middle.value + task.goal, jnp.stack([goal_x, goal_y]))
     bump = Part(
         position=jnp.stack([obstacle_x, FLOOR_TOP_M + bump_half[1]]),

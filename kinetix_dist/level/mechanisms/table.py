@@ -20,7 +20,7 @@ import numpy as np
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
-from kinetix_dist.level.draft import beside, row_at
+from kinetix_dist.level.draft import mask_like, row_at
 from kinetix_dist.level.level import NUM_WALLS
 from kinetix_dist.level.mechanisms.template import (
     COUNT,
@@ -66,7 +66,7 @@ class Table:
 
     def moved(self, by: Array) -> Table:
         """The mechanism, its origin at `by` ([2] m)."""
-        return self._with_places(lambda place: place + by)
+        return self._transformed(lambda point: point + by)
 
     def mirrored(self, is_wanted: Array) -> Table:
         """The mechanism with left and right exchanged, where that is wanted. Boxes and circles are their own mirror
@@ -74,19 +74,19 @@ class Table:
         sign = jnp.where(is_wanted, -1.0, 1.0)
         flip = jnp.stack([sign, jnp.ones((), jnp.float32)])
         return dataclasses.replace(
-            self._with_places(lambda place: place * flip, lambda angle: angle * sign),
+            self._transformed(lambda point: point * flip, lambda angle: angle * sign),
             thrusters=mirrored_thrusters(self.thrusters, is_wanted),
         )
 
-    def _with_places(
-        self, place: Callable[[Array], Array], angle: Callable[[Array], Array] = lambda same: same
+    def _transformed(
+        self, point: Callable[[Array], Array], angle: Callable[[Array], Array] = lambda same: same
     ) -> Table:
-        """The table with other places of boxes, circles and joints, and other angles of boxes and circles."""
+        """The table after a map of the positions of boxes, circles and joints, and one of their angles."""
         boxes, circles = (
-            dataclasses.replace(rows, position=place(rows.position), angle=angle(rows.angle))
+            dataclasses.replace(rows, position=point(rows.position), angle=angle(rows.angle))
             for rows in (self.boxes, self.circles)
         )
-        joints = dataclasses.replace(self.joints, at=place(self.joints.at), bend=angle(self.joints.bend))
+        joints = dataclasses.replace(self.joints, at=point(self.joints.at), bend=angle(self.joints.bend))
         return dataclasses.replace(self, boxes=boxes, circles=circles, joints=joints)
 
 
@@ -108,7 +108,7 @@ def table_of(mechanism: Mechanism, num_draws: int, capacity: Capacity, num_joint
         slots.append(next_slot[part.half is not None])
         next_slot[part.half is not None] += 1
     joints = [dataclasses.replace(joint, a=slots[joint.a], b=slots[joint.b]) for joint in mechanism.joints]
-    thrusters = [dataclasses.replace(jet, part=_slot_of(slots, jet.part)) for jet in mechanism.thrusters]
+    thrusters = [dataclasses.replace(one, part=_slot_of(slots, one.part)) for one in mechanism.thrusters]
     return Table(
         boxes=_rows(Part, boxes, capacity.polygons - NUM_WALLS, without="radius"),
         circles=_rows(Part, circles, capacity.circles, without="half"),
@@ -213,7 +213,7 @@ def _with_rows(rows: Part, first: Array, parts: list[Part]) -> Part:
         old = jnp.asarray(getattr(rows, name))
         values = [jnp.asarray(getattr(part, name), old.dtype) for part in parts]
         new = row_at(jnp.stack(values), jnp.clip(offset, 0, len(parts) - 1)) if len(parts) > 1 else values[0]
-        return jnp.where(beside(is_active, old), new, old)
+        return jnp.where(mask_like(is_active, old), new, old)
 
     names = [field.name for field in dataclasses.fields(rows) if getattr(rows, field.name) is not None]
     return dataclasses.replace(rows, **{name: with_column(name) for name in names})

@@ -11,7 +11,7 @@ import numpy as np
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity, Thrusters
-from kinetix_dist.level.draft import Draft, DrivenThrusters, Ends, MotorAndLimits, Shapes, beside, joint_row, row_at
+from kinetix_dist.level.draft import Draft, DrivenThrusters, Ends, MotorAndLimits, Shapes, joint_row, mask_like, row_at
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_WALLS
 from kinetix_dist.level.mechanisms.table import Table
@@ -40,7 +40,9 @@ def with_table(draws: Draws, draft: Draft, table: Table, capacity: Capacity, con
 
 def _written(table: Any, rows: Any, active: Array) -> Any:
     """The table with the rows that are active ([n]); columns of `rows` may be one value for all."""
-    return jax.tree.map(lambda old, new: jnp.where(beside(active, old), jnp.asarray(new, old.dtype), old), table, rows)
+    return jax.tree.map(
+        lambda old, new: jnp.where(mask_like(active, old), jnp.asarray(new, old.dtype), old), table, rows
+    )
 
 
 def _of_slots(table: Table, name: str) -> Array:
@@ -75,7 +77,7 @@ def _with_motors(draws: Draws, draft: Draft, table: Table, capacity: Capacity, c
         return draft
     one_colour = draws.chance(0.5)
     first = draws.number(0, NUM_MOTOR_COLOURS - 1)
-    # Drawn in this order: levels of a key stay what they are.
+    # The order of the draws determines the levels of a key.
     speed, power, colour = draws.rows(number, 3).T
     is_wheel = jnp.maximum(joints.a, joints.b) >= capacity.polygons
     lowest = jnp.where(task.has_weak_motors, WEAK_SPEEDS[0], config.motor_speed_min)

@@ -50,10 +50,12 @@ class Evaluator:
         rates = evaluate(self._env, player, self._batch(), attempts=1, key=self._key())
         result, start = {}, 0
         for name, (_, level_names) in self._load().items():
-            a_level = self._config.attempts_of(len(level_names))
-            attempts = len(level_names) * a_level
+            attempts_per_level = self._config.attempts_of(len(level_names))
+            attempts = len(level_names) * attempts_per_level
             tried = [attempt.solved for attempt in rates.levels[start : start + attempts]]
-            by_level = [sum(tried[first : first + a_level]) for first in range(0, attempts, a_level)]
+            by_level = [
+                sum(tried[first : first + attempts_per_level]) for first in range(0, attempts, attempts_per_level)
+            ]
             solved = sum(tried)
             low, high = wilson_interval(solved, attempts)
             result[name] = {
@@ -61,8 +63,10 @@ class Evaluator:
                 "attempts": attempts,
                 "low": low,
                 "high": high,
-                "interval_over_levels": interval_over_levels(by_level, a_level, base_levels(name, level_names)),
-                "levels": {"names": level_names, "solved": by_level, "attempts": a_level},
+                "interval_over_levels": interval_over_levels(
+                    by_level, attempts_per_level, base_levels(name, level_names)
+                ),
+                "levels": {"names": level_names, "solved": by_level, "attempts": attempts_per_level},
             }
             start += attempts
         return result

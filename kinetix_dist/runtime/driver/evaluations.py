@@ -202,7 +202,6 @@ class Due:
 
     An evaluation that came due by time at an update which was saved without looking, since the run was stopped in it,
     is due at the next.
-
     """
 
     def __init__(self, config: TrainConfig) -> None:
@@ -222,7 +221,6 @@ class Due:
         """Kinds due after so many updates; seconds: of training after its warm-up.
 
         Evaluations by time are due at the first update at or after each multiple of every_seconds.
-
         """
         due = [kind for kind, every in self._every.items() if every and num_updates % every == 0]
         every, before, self._seconds = self._every_seconds, self._seconds, seconds

@@ -54,7 +54,6 @@ class Adoptions:
     """Updates that first used each refresh, or NEVER, by its policy version: adoptions.json of a run.
 
     The record is part of what a run's numbers depend on: computing again, after a loss or with --resume, follows it.
-
     """
 
     def __init__(self, run: RunDirectory) -> None:
@@ -147,7 +146,6 @@ class Refreshes:
         meanwhile.
 
         Where nothing is done at the same time, that would only come before the first evaluation.
-
         """
         if self._curator is not None and self._curator.works_in_background:
             self._request(0, self._trainer.weights(), None)
@@ -163,7 +161,6 @@ class Refreshes:
 
         So it is where no process works in the background, no batch is drawn ahead, and a refresh that would have to be
         waited for has all programs compiled and is quick.
-
         """
         if self._curator is None or self._curator.works_in_background or self._trainer.policy_lag or self._has_input:
             return False
@@ -389,7 +386,6 @@ class CuratorProcess(BackgroundProcess):
         """Part of the refresh and its timing, see `CuratorCore.refresh`; None where it is not there yet. Does not wait.
 
         The process `is_late` where it was lost, or is silent for more than `patience_s`.
-
         """
         assert self._call is not None
         header, refreshed = self._call

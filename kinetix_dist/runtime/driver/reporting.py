@@ -132,7 +132,7 @@ class _Calls:
         try:
             call()
         except SystemExit as end:  # rich's, where a pipe has no reader any more
-            raise BrokenPipeError("nobody reads the console any more") from end
+            raise BrokenPipeError("the console has no reader any more") from end
 
     def close(self) -> None:
         """Nothing is open between two of them."""

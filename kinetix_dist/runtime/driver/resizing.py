@@ -6,7 +6,6 @@ waits for     a lost node, `run.node_wait_seconds`; then, where fewer than `run.
 unblocked by  a node that comes, or a stop
 
 A run of another size goes on from a checkpoint, and is not bit for bit the unbroken one.
-
 """
 
 from __future__ import annotations

@@ -95,7 +95,6 @@ class Curator(Protocol):
 
         patience_s: None: waits as long as it takes, over losses too. meanwhile: called again and again; an error that
         it raises ends the wait.
-
         """
 
     def cancel(self) -> None: ...

@@ -234,7 +234,6 @@ class RunDirectory:
         """Reads what `write_json` wrote; None where there is no such file.
 
         A file that cannot be read, or is not `is_whole`, is renamed, with an event.
-
         """
         try:
             content = json.loads(path.read_text())
@@ -253,7 +252,6 @@ class RunDirectory:
         was.
 
         For any thread. Raises OSError, also where the whole directory is gone.
-
         """
         if not self.path.is_dir():
             raise FileNotFoundError(f"run directory {self.path} is gone; put it back, nothing is saved until then")

@@ -252,7 +252,6 @@ def start_fork_server(config: TrainConfig) -> ForkServer | None:
     on.
 
     None where there will be none.
-
     """
     if config.run.placement == "local" or "RAY_ADDRESS" in os.environ or not ForkServer.can_run():
         return None

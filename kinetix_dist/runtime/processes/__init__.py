@@ -2,7 +2,6 @@
 
 Nothing here knows what a process computes: a core is the object that `build(index, number of processes, *arguments)`
 returns.
-
 """
 
 import os

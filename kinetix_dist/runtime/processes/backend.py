@@ -110,7 +110,6 @@ class Backend(Protocol):
 
         Raises WorkerLostError where a process is silent for too long or the limit of the section is exceeded, and where
         one of `watched` is lost.
-
         """
 
     def check(self, handles: Sequence[Handle]) -> None:

@@ -212,7 +212,6 @@ class Losses:
         along.
 
         Returns where that of the lost one is, if it wrote anything.
-
         """
         found = None
         for process, log in self._logs.items():

@@ -4,7 +4,6 @@
 
 It stands in for Ray's own setup_worker.py, and runs that where no server is to be used, or the server cannot give a
 process. It imports nothing of the project, nor Ray: it has to be short.
-
 """
 
 from __future__ import annotations

@@ -69,7 +69,6 @@ def what_differs(description: Mapping[str, Any], topology: Mapping[str, Any]) ->
     """Differences between what computes now and what made the checkpoint so described: "devices 2 instead of 4".
 
     Most telling first. Empty where the same devices and versions go on, and for checkpoints without this record.
-
     """
     now = {name: version for name, version in versions().items() if name not in _COMPUTE_NOTHING}
     pairs = ((topology, description.get("topology", {})), (now, description.get("versions", {})))

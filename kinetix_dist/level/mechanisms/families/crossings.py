@@ -112,20 +112,20 @@ def build_ramp(draws: Draws, capacity: Capacity) -> Mechanism:
     x = WALL_MARGIN_M + width + draws.between(0.0, 1.0) * (WORLD_SIZE_M - 2.0 * WALL_MARGIN_M - width - length)
     middle = jnp.stack([jnp.where(front, x, WORLD_SIZE_M - x) - side * begin, floor - lowest[1]])
 
-    def beside(x: Array, y: Array) -> Array:
+    def from_car(x: Array, y: Array) -> Array:
         """[2] m, from the origin of the car: x from its end, y from the floor."""
         return jnp.stack([side * (begin + x), FLOOR_TOP_M + y - middle[1]])
 
     parts += [
-        Part(position=beside(ramp_x, ramp_y), angle=side * slope, half=half, is_fixed=True),
-        Part(position=beside(red_x, red[1]), half=red, role=Role.RED, is_fixed=True),
+        Part(position=from_car(ramp_x, ramp_y), angle=side * slope, half=half, is_fixed=True),
+        Part(position=from_car(red_x, red[1]), half=red, role=Role.RED, is_fixed=True),
     ]
     return Mechanism(
         parts=parts,
         joints=car.joints,
         task=Task(
             middle=given(middle),
-            goal=beside(goal_x, CLEARANCE_M + goal_half[1]),
+            goal=from_car(goal_x, CLEARANCE_M + goal_half[1]),
             goal_radius=given(radius),
             slab=given(slab),
             goal_is_slab=is_slab,
