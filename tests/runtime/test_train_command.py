@@ -346,7 +346,7 @@ def test_a_start_that_is_none_is_refused_before_a_directory_is_made(capsys, tmp_
         assert not (tmp_path / "run").exists()
 
 
-def test_a_start_is_kept_as_the_path_that_it_was(tmp_path, monkeypatch):
+def test_a_start_stays_the_path_that_it_was(tmp_path, monkeypatch):
     (tmp_path / "here" / "policy").mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "here")
     assert parse(["--from", "policy"]).config.run.start_from == str(tmp_path / "here" / "policy")
@@ -360,7 +360,7 @@ def test_a_checkpoint_of_other_settings_of_the_engine_is_refused(capsys, tmp_pat
     assert "--run.start_other_engine True" in line
 
 
-def test_a_checkpoint_without_an_optimiser_is_refused_where_that_is_asked_for(capsys, tmp_path):
+def test_a_checkpoint_without_an_optimiser_is_refused_where_one_is_requested(capsys, tmp_path):
     options = ["--recipe", "pretrain_l", "--run.start_optimizer", "True", "--run.device", "cpu"]
     line = _refusal(capsys, *options, *FROM_GENERALIST, "--run", tmp_path / "run")
     assert "pretrained/generalist holds the parameters of a policy and no optimiser" in line

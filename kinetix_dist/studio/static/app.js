@@ -40,7 +40,7 @@ function App() {
     <${Page} area=${area} run=${run} page=${page} />`;
 }
 
-/** What the pages of a run have in common in their addresses. @param {URLSearchParams} query */
+/** Shared part of the addresses of a run's pages. @param {URLSearchParams} query */
 function shared(query) {
   const shared = new URLSearchParams();
   for (const name of ["x", "smooth", "from", "to"]) if (query.get(name)) shared.set(name, query.get(name) ?? "");

@@ -1,4 +1,4 @@
-// Cells of colour with a label a row and a column: the text of a cell stands next to the pointer, in its title, in the CSV.
+// Coloured cells with a label per row and column: the text of a cell stands next to the pointer, in its title, in the CSV.
 import { html, useEffect, useRef } from "../base/html.js";
 import { colour } from "../base/theme.js";
 

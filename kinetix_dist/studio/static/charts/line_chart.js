@@ -85,7 +85,7 @@ export function LineChart(props) {
   return html`<div class="chart" ref=${place}></div>`;
 }
 
-/** What a chart shows now: hooks of uPlot are made once. @type {WeakMap<any, any>} */
+/** Current contents of a chart: hooks of uPlot are made once. @type {WeakMap<any, any>} */
 const latest = new WeakMap();
 
 /** @param {any} props @returns {any} */

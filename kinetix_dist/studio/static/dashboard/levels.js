@@ -26,7 +26,7 @@ export function LevelsPage({ run }) {
   const base = `runs/${encodeURIComponent(run)}/curriculum`;
   const all = useRequest(() => get(base), [run, changes]);
   const palette = useRequest(getPalette, []);
-  // Of a fast run, levels are left out and files removed between this list and requests by it: those are
+  // In a fast run, levels are left out and files removed between this list and requests by it: those are
   // dropped without a word until the list comes again.
   const [gone, setGone] = useState(/** @type {string[]} */ ([]));
   useEffect(() => setGone([]), [all.data]);

@@ -1,4 +1,4 @@
-// Which metrics stand together in a panel of the overview. Units and meanings come from the server.
+// Panels of the overview with their metrics. Units and meanings come from the server.
 
 /** @typedef {{ title: string, names: string[], help?: string, stacked?: boolean, wide?: boolean }} MetricPanel */
 
@@ -8,7 +8,7 @@ const ROLES = ["worker", "learner", "rollout", "curator", "evaluator"];
 export const PANELS = [
   { title: "Training episodes", names: ["train/solve_rate", "train/failed_rate"], help: "first episodes on buffer and fresh levels together; the page Curriculum splits them" },
   { title: "Return", names: ["train/mean_return"] },
-  { title: "Speed", names: ["progress/env_steps_per_second"], help: "env steps a second, everything included" },
+  { title: "Speed", names: ["progress/env_steps_per_second"], help: "env steps per second, everything included" },
   { title: "Level buffer", names: ["curriculum/learnability", "curriculum/solve_rate", "curriculum/learnable_share", "curriculum/mean_candidate_score"] },
   { title: "Age of the buffer", names: ["curriculum/buffer_age"] },
   { title: "Replay buffer", names: ["curriculum/replay_score", "curriculum/filled_share"] },

@@ -1,4 +1,4 @@
-// One run: how it goes, what is wrong, curves of everything, evaluations, events.
+// Overview of a run: state, warnings, curves, evaluations, events.
 import { addressOf } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
 import { duration, interval, percent, short, smooth } from "../base/format.js";

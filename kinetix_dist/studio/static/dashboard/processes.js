@@ -1,4 +1,4 @@
-// Who runs where: processes of a run with memory and idle share, which of them were lost, idle shares over time.
+// Processes of a run with memory and idle share, which of them were lost, idle shares over time.
 import { get, useRequest } from "../base/api.js";
 import { percent, short } from "../base/format.js";
 import { html } from "../base/html.js";

@@ -1,4 +1,4 @@
-// How often a run has changed since a page is open: pages that show whole files request them again then.
+// Number of changes of a run since a page was opened: pages that show whole files request them again then.
 import { channel } from "../base/channel.js";
 import { useEffect, useState } from "../base/html.js";
 

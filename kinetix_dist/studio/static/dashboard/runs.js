@@ -1,4 +1,4 @@
-// All runs: how each is, how far, how well; chosen ones go to the comparison.
+// Table of runs with state, progress and solve rates; chosen ones go to the comparison.
 import { addressOf } from "../base/address.js";
 import { get } from "../base/api.js";
 import { date, interval, percent, short } from "../base/format.js";

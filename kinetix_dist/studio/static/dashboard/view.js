@@ -1,4 +1,4 @@
-// What all charts of a run share: the axis, smoothing and zoom, stored in the address.
+// View shared by all charts of a run: the axis, smoothing and zoom, stored in the address.
 import { setQuery, useAddress } from "../base/address.js";
 import { html } from "../base/html.js";
 

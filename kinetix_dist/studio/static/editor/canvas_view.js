@@ -14,7 +14,7 @@ const WHEEL_FACTOR = 1.0015; // of the view, for each pixel of a wheel
  * @typedef {import("./state.js").Editor} Editor
  */
 
-/** What is seen, m: lowest x, lowest y, highest x, highest y. @param {HTMLCanvasElement} canvas @param {Editor["view"]} view */
+/** Visible part of the world, m: lowest x, lowest y, highest x, highest y. @param {HTMLCanvasElement} canvas @param {Editor["view"]} view */
 function seen(canvas, view) {
   const scale = Math.min(canvas.width, canvas.height) / view.metres;
   const [x, y] = view.middle;

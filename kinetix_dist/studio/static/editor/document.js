@@ -74,7 +74,7 @@ export function withElement(document, path, element) {
   return { ...document, [found.part]: list };
 }
 
-/** With one more at the end of a part. @param {Level} document @param {Part} part @param {any} element @returns {Level} */
+/** Document with one more element at the end of a part. @param {Level} document @param {Part} part @param {any} element @returns {Level} */
 export function added(document, part, element) {
   return { ...document, [part]: [...(document[part] ?? []), element] };
 }
@@ -86,7 +86,7 @@ export const jointsOf = (document) => document.joints ?? [];
 /** @param {Level} document @returns {Thruster[]} */
 export const thrustersOf = (document) => document.thrusters ?? [];
 
-/** Whether there is enough of a shape to draw it. @param {any} shape */
+/** True where a shape has enough fields to be drawn. @param {any} shape */
 export function isDrawable(shape) {
   const numbers = (/** @type {any} */ list) => Array.isArray(list) && list.length === 2 && list.every(Number.isFinite);
   if (!shape || typeof shape !== "object" || typeof shape.id !== "string" || !numbers(shape.position) || !Number.isFinite(shape.angle ?? 0)) return false;
@@ -130,7 +130,7 @@ export function bodyOf(document, id, walls) {
   return shapesOf(document).find((shape) => shape.id === id) ?? walls.find((wall) => wall.name === id);
 }
 
-/** Where both ends of a joint are in the world; null where a shape is missing.
+/** World positions of both ends of a joint; null where a shape is missing.
  * @param {Level} document @param {Joint} joint @param {readonly Wall[]} walls @returns {[Point, Point] | null} */
 export function jointEnds(document, joint, walls) {
   const a = bodyOf(document, joint.a, walls);
@@ -140,7 +140,7 @@ export function jointEnds(document, joint, walls) {
   return [toWorld(a, joint.anchor_a ?? [0, 0]), toWorld(b, joint.anchor_b ?? [0, 0])];
 }
 
-/** Where a thruster pushes, in the world, and in which direction, rad. @param {Level} document @param {Thruster} thruster */
+/** Point in the world where a thruster pushes, and its direction, rad. @param {Level} document @param {Thruster} thruster */
 export function thrusterPlace(document, thruster) {
   const shape = shapesOf(document).find((entry) => entry.id === thruster.shape);
   if (!shape) return null;

@@ -62,7 +62,7 @@ function carried(document, ids, carry, place, walls, also = {}) {
 /** @param {Level} document @param {readonly string[]} selection @returns {Set<string>} */
 const idsOf = (document, selection) => new Set(selectedShapes(document, selection).map((index) => document.shapes[index].id));
 
-/** By a step, m: shapes with what is on them; joints and thrusters that are selected alone.
+/** Moves by a step, m: shapes with what is on them; joints and thrusters that are selected alone.
  * @param {Level} document @param {readonly string[]} selection @param {Point} step @param {readonly Wall[]} walls @returns {Level} */
 export function moved(document, selection, step, walls) {
   const ids = idsOf(document, selection);
@@ -221,7 +221,7 @@ export function copied(document, selection) {
   };
 }
 
-/** With what was copied, under new names, a step away; and what is selected then.
+/** Pastes a copy under new names, a step away; returns the document and its selection.
  * @param {Level} document @param {Copied} part @param {Point} step @param {readonly Wall[]} walls @returns {{ document: Level, selection: string[] }} */
 export function pasted(document, part, step, walls) {
   /** @type {Map<string, string>} */
@@ -263,10 +263,10 @@ export function renamed(document, index, id) {
   };
 }
 
-/** All that there is, in the order of the document. @param {Level} document */
+/** Paths of all elements, in the order of the document. @param {Level} document */
 export function everything(document) {
   return PARTS.flatMap((part) => (document[part] ?? []).map((/** @type {unknown} */ _, /** @type {number} */ index) => `${part}[${index}]`));
 }
 
-/** Of a selection what is there still. @param {Level} document @param {readonly string[]} selection */
+/** Paths of a selection that still exist. @param {Level} document @param {readonly string[]} selection */
 export const stillThere = (document, selection) => selection.filter((path) => elementAt(document, path) !== undefined);

@@ -35,7 +35,7 @@ export async function readLevel(text) {
   return document;
 }
 
-/** Of a level that is dropped or pasted, or a part that was copied. @param {Editor} editor @param {string} text */
+/** Opens a level that is dropped or pasted, or pastes a part that was copied. @param {Editor} editor @param {string} text */
 export async function openText(editor, text) {
   try {
     const part = text.includes(COPIED_FORMAT) ? JSON.parse(text) : null;

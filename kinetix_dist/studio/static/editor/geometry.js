@@ -29,7 +29,7 @@ export function signedArea(corners) {
   return corners.reduce((sum, here, k) => sum + 0.5 * cross(here, corners[(k + 1) % corners.length]), 0);
 }
 
-/** Of the area; without one the first corner. As jax2d/shapes.py: polygon_integrals. @param {Point[]} corners @returns {Point} */
+/** Centroid of the area; without an area the first corner. As jax2d/shapes.py: polygon_integrals. @param {Point[]} corners @returns {Point} */
 export function centroid(corners) {
   const [first] = corners;
   const local = corners.map((corner) => sub(corner, first));
@@ -46,7 +46,7 @@ export function centroid(corners) {
   return area === 0 ? first : [first[0] + x / (6 * area), first[1] + y / (6 * area)];
 }
 
-/** Whether a point lies in a convex polygon whose corners run counter-clockwise. @param {Point} point @param {Point[]} corners */
+/** True where a point lies in a convex polygon whose corners run counter-clockwise. @param {Point} point @param {Point[]} corners */
 export function isInside(point, corners) {
   return corners.every((here, k) => cross(sub(corners[(k + 1) % corners.length], here), sub(point, here)) >= 0);
 }

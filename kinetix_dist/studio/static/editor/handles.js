@@ -117,7 +117,7 @@ export function dragged(document, selection, handle, number, point, snaps, walls
   return isConvex(vertices) ? reshaped(document, handle.index, { ...shape, vertices }, walls) : null;
 }
 
-/** Whether all corners are those of their hull, in its order. @param {Point[]} corners */
+/** True where all corners are those of their hull, in its order. @param {Point[]} corners */
 export function isConvex(corners) {
   return signedArea(corners) > 1e-4 && hull(corners).length === corners.length && corners.every((corner) => isInside(corner, corners));
 }

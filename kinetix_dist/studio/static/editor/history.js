@@ -1,4 +1,4 @@
-// What was, what is and what was undone. Values share what they have in common, so that 500 of them are small.
+// History of values with undo and redo. Values share what they have in common, so that 500 of them are small.
 
 export const MAX_UNDO = 500;
 
@@ -15,12 +15,12 @@ export class History {
     this.preview = null;
   }
 
-  /** What is shown: the gesture that goes on, or what is. */
+  /** Shown value: the one of the gesture that goes on, or the current one. */
   get shown() {
     return this.preview ?? this.present;
   }
 
-  /** One step that can be undone, whatever was previewed before. Nothing where it is what is already. @param {T} next */
+  /** Adds a step that can be undone, whatever was previewed. Does nothing where the value is the current one. @param {T} next */
   commit(next) {
     this.preview = null;
     if (next === this.present) return;

@@ -26,7 +26,7 @@ export function jointFacts(document, joint, walls) {
   return { at: ends[0], now, coordinate: now - (joint.rest_angle ?? now), towards };
 }
 
-/** Where a slider starts, and which way b slides, in the world. @param {Level} document @param {any} joint @param {readonly Wall[]} walls */
+/** Start of a slider and direction in which b slides, in the world. @param {Level} document @param {any} joint @param {readonly Wall[]} walls */
 export function sliderFacts(document, joint, walls) {
   const ends = jointEnds(document, joint, walls);
   const turned = bodyOf(document, joint.a, walls)?.angle ?? 0;
@@ -52,7 +52,7 @@ export function jointHandles(document, joint, index, walls) {
   return [rest, ...ends.map((kind, k) => ({ kind, index, at: at(ARC_M, facts.towards + joint.limits[k] - facts.coordinate) }))];
 }
 
-/** How far along its axis the handle is that turns it, m. @param {any} joint */
+/** Distance along its axis of the handle that turns it, m. @param {any} joint */
 export const axisReach = (joint) => Math.max(AXIS_M, (joint.limits?.[1] ?? 0) + 0.2);
 
 /** The document after a handle of a joint was dragged to a point.

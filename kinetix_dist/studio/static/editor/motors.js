@@ -16,7 +16,7 @@ export function wheelOf(document, joint) {
   return moves(joint[end]) ? end : null;
 }
 
-/** What a joint is given: forward rolls a wheel to the right. @param {Level} document @param {any} joint without a motor */
+/** Motor that a joint gets: forward rolls a wheel to the right. @param {Level} document @param {any} joint without a motor */
 export const newMotor = (document, joint) => ({ speed: wheelOf(document, joint) === "b" ? -1 : 1, power: 1, colour: 0 });
 
 /** @param {Level} document @param {any} joint with a motor @returns {string} what forward does, in one line */

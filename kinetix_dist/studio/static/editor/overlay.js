@@ -1,4 +1,4 @@
-// What the editor draws over the world: selection, handles, limits, guides, sketches. They differ by shape, not by colour alone.
+// Overlay of the editor on the world: selection, handles, limits, guides, sketches. They differ by shape, not by colour alone.
 import { LETTER_FROM_M } from "../world/canvas.js";
 import { boundsOf, jointEnds, jointsOf, parsePath, shapesOf, thrusterPlace, thrustersOf, worldCorners } from "./document.js";
 import { distance } from "./geometry.js";

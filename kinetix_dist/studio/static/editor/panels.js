@@ -83,7 +83,7 @@ export function SelectionPanel({ editor }) {
       if (editor.settled.shapes.some((shape) => shape.id === value)) return editor.notify(`there is a shape ${value} already`);
       return editor.commit(renamed(editor.settled, found.index, value));
     }
-    // Of the level as it is now: the panel is drawn again a picture later.
+    // From the level as it is now: the panel is drawn again a picture later.
     const now = elementAt(editor.settled, path);
     if (now !== undefined) editor.commit(withElement(editor.settled, path, withValue(now, field, value)));
   };
@@ -129,7 +129,7 @@ export function LevelPanel({ editor, facts }) {
   </section>`;
 }
 
-/** What there is, as buttons: by keyboard and for what is hard to hit. @param {{ editor: Editor, facts: any }} props */
+/** Elements as buttons, for the keyboard and for those that are hard to hit. @param {{ editor: Editor, facts: any }} props */
 export function ThingsPanel({ editor, facts }) {
   const paths = [
     ...PARTS.flatMap((part) => (editor.document[part] ?? []).map((/** @type {any} */ _, /** @type {number} */ k) => `${part}[${k}]`)),

@@ -1,4 +1,4 @@
-// Where a pointer is meant to be: on a corner, a centre, an anchor, in line with one, or on the grid.
+// Snapping of a pointer: to a corner, a centre, an anchor, in line with one, or on the grid.
 import { jointEnds, jointsOf, shapesOf, worldCorners } from "./document.js";
 import { distance, rounded } from "./geometry.js";
 

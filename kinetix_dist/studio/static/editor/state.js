@@ -1,4 +1,4 @@
-// What the editor shows and what a person does to it: level, history, selection, tool, view. Pages and tests drive this.
+// State of the editor and the actions of a person: level, history, selection, tool, view. Pages and tests drive this.
 import { documentText, newLevel, parsePath, elementAt } from "./document.js";
 import { stillThere } from "./edits.js";
 import { History } from "./history.js";
@@ -35,7 +35,7 @@ export class Editor {
     this.guides = [];
     /** @type {Point | null} where the keyboard points */
     this.cursor = null;
-    /** What each file had when it was read or saved. @type {Map<string, { hash: string | null, text: string }>} */
+    /** Contents of files when they were read or saved. @type {Map<string, { hash: string | null, text: string }>} */
     this.files = new Map();
     /** The level that came from a run's buffer: while it is as it came, its stored arrays are played, which a document
      * gives to an ulp. @type {{ text: string, level: { run: string, index: number, [kind: string]: any } } | null} */
@@ -77,7 +77,7 @@ export class Editor {
     this.changed();
   }
 
-  /** One step of the history. @param {Level} document @param {string[]} [selection] @param {string | null} [file] */
+  /** Adds a step of the history. @param {Level} document @param {string[]} [selection] @param {string | null} [file] */
   commit(document, selection, file = this.history.present.file) {
     const before = this.history.present;
     if (document !== before.document || file !== before.file) {
@@ -131,7 +131,7 @@ export class Editor {
     this.notify("");
   }
 
-  /** One line below the picture. @param {string} note */
+  /** Shows a line below the picture. @param {string} note */
   notify(note) {
     this.note = note;
     this.changed();
@@ -144,7 +144,7 @@ export class Editor {
     this.commit(document, [], file);
   }
 
-  /** Whether the file of the command line has something else. */
+  /** True where the file of the command line has another content. */
   get isUnsaved() {
     const known = this.file === null ? undefined : this.files.get(this.file);
     return !known || known.hash === null || known.text !== documentText(this.document);

@@ -19,7 +19,7 @@ const HANDLE_PX = 12; // how near a pointer has to come, times how thick it is
 const THING_PX = 8; // the same of joints and thrusters, which lie on shapes that are to be hit too
 const DEFAULT_M = 0.5; // side of a box that is placed by a click
 
-/** Where the pointer is meant to be. @param {Editor} editor @param {Pointer} pointer @param {ReadonlySet<string>} [but] @returns {Point} */
+/** Snapped point of the pointer. @param {Editor} editor @param {Pointer} pointer @param {ReadonlySet<string>} [but] @returns {Point} */
 function aimed(editor, pointer, but) {
   editor.guides = [];
   if (!editor.snaps || pointer.free) return roundedPoint(pointer.at);
@@ -78,7 +78,7 @@ function dragHandle(editor, handle, number, start) {
   };
 }
 
-/** Where a joint or a thruster is. @param {Editor} editor @param {string} path @returns {Point | null} */
+/** Position of a joint or a thruster. @param {Editor} editor @param {string} path @returns {Point | null} */
 function placeOf({ settled, walls }, path) {
   const element = elementAt(settled, path);
   if (path.startsWith("joints")) return jointEnds(settled, element, walls)?.[0] ?? null;
@@ -211,7 +211,7 @@ function joining(type, { hasMotor = false, more = {} } = {}) {
       up(pointer) {
         const isClick = distance(pointer.at, start.at) <= CLICK_PX * pointer.px * pointer.thick;
         const last = isClick ? first : bodiesAt(editor, pointer.at);
-        // What lies on top is b, as a wheel that is drawn after its chassis.
+        // The upper shape is b, as a wheel that is drawn after its chassis.
         const [b, a] = isClick ? first : [first[0], last.find((id) => id !== first[0])];
         const anchor = aimed(editor, pointer);
         if (a === undefined || b === undefined) {
@@ -271,7 +271,7 @@ const circle = drawing(
   (position) => ({ type: "circle", radius: DEFAULT_M / 2, position }),
 );
 
-/** In the order of the bar. @type {Record<string, Tool>} */
+/** Tools in the order of the bar. @type {Record<string, Tool>} */
 export const TOOLS = {
   select: { key: "v", label: "Select", mark: "➤", help: "click, shift-click, or drag a rectangle; drag moves; a second click takes what lies below", down: beginSelect },
   box: { key: "b", label: "Box", mark: "▭", help: "drag from corner to corner, or click", down: box },

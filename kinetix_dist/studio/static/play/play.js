@@ -10,13 +10,13 @@ const HEADER_BYTES = 28;
 export const SPEEDS = [0.125, 0.25, 0.5, 1, 2];
 const FLAGS = { done: 1, solved: 2, failed: 4, unstable: 8 };
 
-/** What is written on a key. @param {string} key */
+/** Label of a key. @param {string} key */
 export const keyMark = (key) => MARKS[/** @type {keyof typeof MARKS} */ (key)] ?? key.toUpperCase();
 
 /** @typedef {{ step: number, reward: number, total: number, value: number, distance: number, flags: number, poses: Float32Array,
  *   motor: Float32Array, thruster: Float32Array, colours: Float32Array, outputs: Float32Array }} Frame */
 
-/** What a policy makes of the state is the rest: a policy that takes over has a frame before it is announced.
+/** Outputs of the policy are the rest: a policy that takes over has a frame before it is announced.
  * @param {ArrayBuffer} bytes @param {{ shapes: number, joints: number, thrusters: number }} sizes @returns {Frame} */
 export function decodeFrame(bytes, sizes) {
   const view = new DataView(bytes);

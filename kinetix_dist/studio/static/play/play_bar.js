@@ -4,7 +4,7 @@ import { percent, short } from "../base/format.js";
 import { html } from "../base/html.js";
 import { boundColours, keyMark, MOTOR_KEYS, nameOfColour, NUM_MOTOR_COLOURS, SPEEDS, THRUSTER_KEYS } from "./play.js";
 
-/** Who can play: a key of a select, and what the engine worker calls it. @param {string} name @returns {any} */
+/** Players: the key of a select, and the policy for the engine worker. @param {string} name @returns {any} */
 export function policyOf(name) {
   const [kind, ...rest] = name.split(":");
   return rest.length ? { [kind]: rest.join(":") } : kind;

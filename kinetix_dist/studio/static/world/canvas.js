@@ -154,7 +154,7 @@ function trace(context, primitive, points, x, y, scale) {
   if (primitive.kind === "disc" || primitive.kind === "polygon") context.closePath();
 }
 
-/** Whether a shape is drawn in the shade of those that do not move. @param {Primitive} primitive @param {Palette} palette */
+/** True for a shape that is drawn in the shade of fixed ones. @param {Primitive} primitive @param {Palette} palette */
 function isFixed({ part, fill, outline }, palette) {
   const full = palette.role_palette[roleOf(fill, palette)];
   return part[0] === "shape" && outline !== undefined && fill.every((value, k) => Math.abs(value - full[k] * palette.fixed_shade) <= 1);

@@ -1,4 +1,4 @@
-// What a level document looks like: the same list of primitives, number by number, as jax2d/display_list.py makes of the
+// Display list of a level document: the same list of primitives, number by number, as jax2d/display_list.py makes of the
 // level that kinetix_dist/level/schema.py reads from it. The editor draws this, so that nothing waits for the server.
 import { bodyOf, cornersOf, isDrawable, jointsOf, thrustersOf, toLocal } from "../editor/document.js";
 import { add, centroid, rotate, sub, wrapped } from "../editor/geometry.js";
