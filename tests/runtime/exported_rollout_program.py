@@ -67,7 +67,7 @@ def modules_outside_of_closures() -> dict[str, list[str]]:
         _, refreshed = worker.refresh(worker.released(), 0, 0, 1)
         worker.adopt(refreshed)
         core = worker._playing.rollout(config)
-        batch, _, _ = core.play(worker._learner.params, worker._state.placed, 0)
+        batch, _, _ = core.play(worker._learner.params, worker._state.on_devices, 0)
         worker._learner.learn(*batch, env_steps=0)
     return outside
 
