@@ -41,6 +41,7 @@ from jax.sharding import Mesh, NamedSharding
 
 from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.installation import ENGINE
+from kinetix_dist.user_directories import cache_directory
 
 OFF = "off"
 MIN_COMPILE_SECONDS = 0.3  # programs that compile faster are not worth a file, unless the environment says otherwise
@@ -81,7 +82,7 @@ def directory_of(setting: str) -> Path:
 
 def default_directory() -> Path:
     """Directory of the cache where neither a setting nor the environment names one."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "kinetix-dist" / "jax"
+    return cache_directory() / "jax"
 
 
 def _let_every_rank_write() -> None:
