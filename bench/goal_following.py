@@ -29,9 +29,8 @@ from kinetix_dist.evaluation.intervals import Z_95
 from kinetix_dist.evaluation.load_policy import load_policy
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
-from kinetix_dist.level.goal_following import MORPHOLOGIES
+from kinetix_dist.level.goal_following import MORPHOLOGIES, GoalFollowingLevels
 from kinetix_dist.level.level import SIZES, Role
-from kinetix_dist.level.level_generators import GoalFollowingLevels
 from kinetix_dist.telemetry.recording import Rollout
 
 STEPS_TO_GET_THERE, STEPS_SEEN = 64, 64  # paper, the same section

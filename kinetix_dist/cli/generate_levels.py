@@ -20,8 +20,8 @@ from kinetix_dist.cli.checks import check_seed
 from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
+    from kinetix_dist.level.generator import LevelGenerator
     from kinetix_dist.level.level import Level
-    from kinetix_dist.level.level_generators import LevelGenerator
 
 MAX_ROUNDS = 8  # of drawing as many levels as are requested, until enough do not solve themselves
 
@@ -87,8 +87,8 @@ def _check(args: Generate) -> None:
 def _source(args: Generate) -> tuple[LevelGenerator, str, str]:
     """Source of levels, their size, and the names of their files."""
     from kinetix_dist.level.fit import capacity_of_size
+    from kinetix_dist.level.generator import RandomLevels
     from kinetix_dist.level.generator_config import generator
-    from kinetix_dist.level.level_generators import RandomLevels
 
     if args.like is not None:
         return *_model(args, args.like), "like"

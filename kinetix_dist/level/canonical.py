@@ -118,7 +118,7 @@ def swap_ends(joints: Joints) -> Joints:
 
 
 def with_opposite_angles(joints: Joints) -> Joints:
-    """Angles of b against a with the other sign: rest angles, and speeds and limits of what turns."""
+    """Angles of b against a with the other sign: rest angles, and speeds and limits of hinges."""
     slides = joints.is_kind(JointKind.PRISMATIC)
     return dataclasses.replace(
         joints,

@@ -1,4 +1,4 @@
-"""Random levels at the frontier of what is known to be possible: hard by chance, not impossible.
+"""Random levels at the frontier of the solvable: hard by chance, not impossible.
 
     levels, names = frontier_levels(frontier_sets()["frontier_s"])
 

@@ -13,6 +13,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -100,6 +101,24 @@ def generate_levels(key: Array, num_levels: int, capacity: Capacity, config: Gen
 def level_keys(key: Array, num_levels: int) -> Array:
     """[num_levels], of the levels of a batch. Consumes `key`."""
     return jax.vmap(functools.partial(prng.fold_in, key))(jnp.arange(num_levels))
+
+
+class LevelGenerator(Protocol):
+    """Pure; works inside jit."""
+
+    def generate(self, key: Array, num_levels: int) -> Level:
+        """[num_levels, ...] valid levels. Consumes `key`."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RandomLevels:
+    """The random levels of `generator.py`."""
+
+    capacity: Capacity
+    config: GeneratorConfig
+
+    def generate(self, key: Array, num_levels: int) -> Level:
+        return generate_levels(key, num_levels, self.capacity, self.config)
 
 
 def _check_capacity(capacity: Capacity) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from jax2d.fields import Array
 from jax2d.scene import Capacity
+from kinetix_dist import prng
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import draft_to_level, empty_draft
 from kinetix_dist.level.generator_config import GeneratorConfig
@@ -76,6 +77,18 @@ def generate_goal_following_level(key: Array, capacity: Capacity, morphology: st
     # Nothing but walls touches the goal.
     mode = jnp.where(level.shape_role == Role.BLUE, PASSES_THROUGH, level.collision_mode)
     return derive(dataclasses.replace(level, collision_mode=mode), is_fixed)
+
+
+@dataclasses.dataclass(frozen=True)
+class GoalFollowingLevels:
+    """The levels of `goal_following.py`, with one kind of body."""
+
+    capacity: Capacity
+    morphology: str  # of MORPHOLOGIES
+
+    def generate(self, key: Array, num_levels: int) -> Level:
+        keys = prng.split(key, num_levels)
+        return jax.vmap(lambda one: generate_goal_following_level(one, self.capacity, self.morphology))(keys)
 
 
 def _snake(draws: Draws, capacity: Capacity) -> Mechanism:

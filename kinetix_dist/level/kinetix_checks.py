@@ -1,6 +1,6 @@
 """Checks that a public level file can be read without loss. A complaint is one line: field, problem, remedy.
 
-Checked is what `kinetix_format.py` reads and nothing else: a file may hold anything in slots that are not active and in
+Only fields that `kinetix_format.py` reads are checked: a file may hold anything in slots that are not active and in
 its caches of impulses. What files here cannot hold is refused: units of another size, walls elsewhere but for the two
 kinds that `kinetix_walls.py` mends.
 """

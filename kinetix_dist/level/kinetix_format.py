@@ -1,10 +1,10 @@
 """The JSON files of the public Kinetix package, in and out.
 
-What differs there, and what is done about it:
+Differences of the public format, and their treatment:
 - polygons list their corners clockwise about a point that need not be the centroid: they are reversed and moved onto
   the true centroid, and positions, joint anchors and thrusters move along, so that the world looks the same;
 - masses and inertias in a file are not those of its shapes (discs have half their inertia): they are computed again
-  from geometry and density; what has zero inverse mass there stays fixed;
+  from geometry and density; shapes of zero inverse mass stay fixed;
 - `friction` is a raw coefficient, multiplied by the engine's base friction; joint `rotation` is angle_b - angle_a at
   rest; a motor drives b relative to a towards +speed. All as in `Scene`;
 - walls of two kinds of files are not where they are here: see `kinetix_walls.py`.
@@ -74,7 +74,7 @@ def import_kinetix(document: Any) -> Level:
 
 
 def read_kinetix(document: Any) -> PublicLevel:
-    """The same, and what was mended on the way. Raises `LevelFormatError`."""
+    """The level and its mended walls. Raises `LevelFormatError`."""
     if not is_kinetix_document(document):
         raise LevelFormatError("env_state", "is missing", "this is no level file of the public Kinetix package")
     walls = check_kinetix(document)
@@ -193,7 +193,7 @@ def _corners(shape: dict[str, Any]) -> np.ndarray:
 
 
 def _joint_matrix(level: Level) -> np.ndarray:
-    """`[n, n]` bool, False within a body: what the public file calls the collision matrix (modes are not in it)."""
+    """`[n, n]` bool, False within a body: the collision matrix of public files (modes are not in it)."""
     scene = level.scene
     body = np.arange(len(scene.shapes.active))
     for slot in np.flatnonzero(scene.joints.active):

@@ -38,7 +38,7 @@ class Proof:
     max_steps: int  # environment steps of an episode
     action_space: str
     actions: np.ndarray  # [T, A] int32
-    method: str = ""  # what found it
+    method: str = ""  # search method that found it
     robustness: float | None = None  # share of slightly different starts that the same actions solve
 
     @property

@@ -185,7 +185,7 @@ def is_public_level(path: Path) -> bool:
 def files_of_set(name: str) -> list[Path]:
     """The level files of a designed set, a designed level, a file or a directory.
 
-    Raises ValueError for a set that is drawn and for what is no set, FileNotFoundError for an empty directory.
+    Raises ValueError for a set that is drawn and for an unknown name, FileNotFoundError for an empty directory.
     """
     if size_of_drawn_set(name):
         raise ValueError(f"{name!r} is drawn when it is used; it has no files; name a designed set or level files")

@@ -28,7 +28,7 @@ from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level, Role, drivi
 from kinetix_dist.level.statistics import point_distances, separations
 from kinetix_dist.level.walls import FLOOR_TOP_M, WALL_NAMES
 
-MIN_OVERLAP_M = 0.0125  # the public package lets what rests overlap by 1 cm, and its levels are saved so
+MIN_OVERLAP_M = 0.0125  # the public package lets resting shapes overlap by 1 cm, and its levels are saved so
 LIMIT_TOLERANCE = 1e-4  # rad or m: rounding of float32 angles in files
 FAR_ANCHOR_M = 0.25  # from the nearer of the two shapes; wheels on axles that are not drawn are nearer, and meant
 MAX_QUIET_GAP_M = 0.02  # between the ends of a joint; more is seen as a jerk in the first steps
@@ -160,8 +160,8 @@ def _outside(level: Level, paths: Paths) -> Iterator[StartWarning]:
         if not (right >= 0 and left <= WORLD_SIZE_M and top >= FLOOR_TOP_M and bottom <= WORLD_SIZE_M):
             x, y = (float(number) for number in level.position[i])
             box = f"0 to {WORLD_SIZE_M:g} m wide and {FLOOR_TOP_M:g} to {WORLD_SIZE_M:g} m high"
-            what = "lies" if is_fixed else "has its centre"
-            text = f"{paths.shapes[i]} {what} at ({x:.3g}, {y:.3g}) m, outside of the box, {box}"
+            verb = "lies" if is_fixed else "has its centre"
+            text = f"{paths.shapes[i]} {verb} at ({x:.3g}, {y:.3g}) m, outside of the box, {box}"
             yield StartWarning(kind="outside", paths=(paths.shapes[i],), text=text)
 
 

@@ -1,4 +1,4 @@
-"""The policy of a teacher that builds levels: what it sees of a level that is being built, and its network.
+"""The policy of a teacher that builds levels: its observation of a level under construction, and its network.
 
 A flat network over numbers for every slot, whose outputs are limited to the choices that a step allows.
 """
@@ -13,7 +13,7 @@ from flax import linen as nn
 
 from jax2d.scene import Array, Capacity
 from kinetix_dist.env.action_spaces.masked_categorical import forbid
-from kinetix_dist.level.construction import Construction, What, num_steps
+from kinetix_dist.level.construction import Addition, Construction, num_steps
 from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Role
 from kinetix_dist.models.flat_mlp import FlatMlp
 
@@ -23,7 +23,7 @@ NUM_NOISE = 8  # random numbers of a level that its teacher sees from the start,
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TeacherObs:
-    """What the teacher sees before a step."""
+    """Observation of a teacher before a step."""
 
     features: Array  # [B, features] float32
     allowed: tuple[Array, ...]  # [B, choices] bool of each head
@@ -68,7 +68,7 @@ def construction_features(building: Construction, step: Array, noise: Array, cap
         shapes.active * 1.0,
         jnp.stack([joints.active, joints.motor_on & joints.active], -1).reshape(-1) * 1.0,
         thrusters.active * 1.0,
-        (building.what == jnp.array(list(What), jnp.int32)) * 1.0,
+        (building.addition == jnp.array(list(Addition), jnp.int32)) * 1.0,
         new_half,
         jnp.stack([jnp.cos(new.angle), jnp.sin(new.angle)]),
         (step == jnp.arange(num_steps(capacity))) * 1.0,

@@ -1,4 +1,4 @@
-"""Building action by action: whatever is chosen of what is allowed, a valid level comes out."""
+"""Building action by action: every sequence of allowed choices gives a valid level."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kinetix_dist.env.action_spaces.masked_categorical import MaskedCategorical,
 from kinetix_dist.level.construction import (
     HEADS,
     NUM_DRAWS,
-    What,
+    Addition,
     allowed,
     apply_action,
     begin,
@@ -38,11 +38,13 @@ NUM_LEVELS = 192
 # Logits that a teacher may come to have: none, one choice again and again, the last or the first allowed choice.
 TASTES = {
     "any": lambda head, choices: 0.0 * jnp.arange(choices),
-    "joints": lambda head, choices: 9.0 * ((head == "what") & (jnp.arange(choices) // 2 * 2 + 1 == What.JOINED_BOX)),
+    "joints": lambda head, choices: (
+        9.0 * ((head == "addition") & (jnp.arange(choices) // 2 * 2 + 1 == Addition.JOINED_BOX))
+    ),
     "fixed": lambda head, choices: 9.0 * ((head == "is_fixed") & (jnp.arange(choices) == 1)),
     "last": lambda head, choices: 9.0 * jnp.arange(choices),
     "first": lambda head, choices: -9.0 * jnp.arange(choices),
-    "nothing": lambda head, choices: 30.0 * ((head == "what") & (jnp.arange(choices) == What.NOTHING)),
+    "nothing": lambda head, choices: 30.0 * ((head == "addition") & (jnp.arange(choices) == Addition.NOTHING)),
 }
 
 

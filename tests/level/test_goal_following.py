@@ -11,9 +11,13 @@ import pytest
 
 from jax2d.engine import Engine
 from jax2d.scene import Controls
-from kinetix_dist.level.goal_following import GOAL_HEIGHT_M, MORPHOLOGIES, generate_goal_following_level
+from kinetix_dist.level.goal_following import (
+    GOAL_HEIGHT_M,
+    MORPHOLOGIES,
+    GoalFollowingLevels,
+    generate_goal_following_level,
+)
 from kinetix_dist.level.level import NUM_WALLS, SIZES, Level, Role
-from kinetix_dist.level.level_generators import GoalFollowingLevels
 from kinetix_dist.level.statistics import overlaps
 from tests.level.valid import assert_valid
 

@@ -8,10 +8,9 @@ import jax
 import numpy as np
 import pytest
 
-from kinetix_dist.level.generator import generate_levels
+from kinetix_dist.level.generator import LevelGenerator, RandomLevels, generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Role
-from kinetix_dist.level.level_generators import LevelGenerator, RandomLevels
 from kinetix_dist.level.vectors import overlaps_at_start
 from kinetix_dist.models.level_vae import VaeConfig, fit
 from tests.level.valid import assert_valid

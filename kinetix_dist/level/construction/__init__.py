@@ -20,8 +20,8 @@ from kinetix_dist.level.construction.allowed import allowed
 from kinetix_dist.level.construction.records import (
     HEADS,
     NUM_DRAWS,
+    Addition,
     Construction,
-    What,
     begin,
     check_construction,
     finish,
@@ -33,8 +33,8 @@ from kinetix_dist.level.construction.records import (
 __all__ = [
     "HEADS",
     "NUM_DRAWS",
+    "Addition",
     "Construction",
-    "What",
     "allowed",
     "apply_action",
     "begin",

@@ -29,9 +29,9 @@ from kinetix_dist.level.construction.records import (
     NUM_SPEEDS,
     NUM_STRENGTHS,
     RED,
+    Addition,
     Construction,
     Motor,
-    What,
     is_describing,
     is_one_of,
     is_placing,
@@ -63,7 +63,7 @@ def apply_action(
 
     step: int32, its number; action [heads] int: a choice of each head, all of them allowed; draws [NUM_DRAWS] in
     [0, 1). A shape that is put where it does not fit is left out; other choices that are masked are not looked for,
-    and may build what is no level.
+    and may build no valid level.
     """
     choice = {name: action[_AT[name]].astype(jnp.int32) for name in HEADS}
     describes, places = is_describing(step, capacity), is_placing(step, capacity)
@@ -72,7 +72,7 @@ def apply_action(
     draft = _with_thruster(draft, choice, draws, ~describes & ~places, config)
     return Construction(
         draft=draft,
-        what=jnp.where(describes, choice["what"], building.what),
+        addition=jnp.where(describes, choice["addition"], building.addition),
         shape=jax.tree.map(lambda new, old: jnp.where(describes, new, old), shape, building.shape),
         own_anchor=jnp.where(describes, own_anchor, building.own_anchor),
     )
@@ -82,7 +82,7 @@ def _described(
     building: Construction, step: Array, choice: dict[str, Array], draws: Array, config: GeneratorConfig
 ) -> tuple[Shapes, Array]:
     """The described shape, at the origin, and the point of a joint on it."""
-    is_box = is_one_of(choice["what"], BOXES)
+    is_box = is_one_of(choice["addition"], BOXES)
     limit = config.max_shape_size / 2.0 / math.sqrt(2.0)
     longest = limit * max(1.0, config.large_rectangle_scale)
     width = _within(choice["width"], draws[0], NUM_SIZES, config.min_half_extent, longest)
@@ -92,7 +92,7 @@ def _described(
         jnp.stack([width, height]), jnp.array(False), building.shape.vertices.shape[0]
     )
     number = step // 2
-    plain_or_red = jnp.where(is_one_of(choice["what"], RED), Role.RED, Role.NONE)
+    plain_or_red = jnp.where(is_one_of(choice["addition"], RED), Role.RED, Role.NONE)
     role = jnp.where(number == 0, Role.GREEN, jnp.where(number == 1, Role.BLUE, plain_or_red))
     shape = Shapes(
         active=jnp.array(True),
@@ -122,13 +122,13 @@ def _with_shape(
     """The draft with the described shape and its joint, unless it fits nowhere."""
     draft, polygons = building.draft, capacity.polygons
     shapes = draft.shapes
-    is_box, is_joined = is_one_of(building.what, BOXES), is_one_of(building.what, JOINED)
+    is_box, is_joined = is_one_of(building.addition, BOXES), is_one_of(building.addition, JOINED)
     fits = jnp.where(
         is_joined,
         is_free_joint(building, choice["attach"], capacity),
         is_free_place(building, choice["place"]),
     )
-    do = do & (building.what != What.NOTHING) & fits
+    do = do & (building.addition != Addition.NOTHING) & fits
     free_box, free_circle = first_free(shapes.active[:polygons]), polygons + first_free(shapes.active[polygons:])
     slot = jnp.where(is_box, free_box, free_circle).astype(jnp.int32)
 
@@ -195,7 +195,7 @@ def _with_thruster(draft: Draft, choice: dict[str, Array], draws: Array, do: Arr
     )
     row = DrivenThrusters(thrusters=thruster, colour=choice["colour"])
     slot = first_free(draft.thrusters.active)
-    after = write_slot(draft.driven_thrusters, slot, row, do & (choice["what"] == What.THRUSTER))
+    after = write_slot(draft.driven_thrusters, slot, row, do & (choice["addition"] == Addition.THRUSTER))
     return dataclasses.replace(draft, driven_thrusters=after)
 
 

@@ -15,8 +15,8 @@ from kinetix_dist.level.construction.records import (
     GRID,
     HEADS,
     JOINED,
+    Addition,
     Construction,
-    What,
     head_sizes,
     is_describing,
     is_one_of,
@@ -38,8 +38,8 @@ def allowed(building: Construction, step: Array, capacity: Capacity, config: Gen
     """
     describes, places = is_describing(step, capacity), is_placing(step, capacity)
     pushes = ~describes & ~places
-    joins = places & is_one_of(building.what, JOINED)
-    stands_free = places & ~joins & (building.what != What.NOTHING)
+    joins = places & is_one_of(building.addition, JOINED)
+    stands_free = places & ~joins & (building.addition != Addition.NOTHING)
     nowhere = jnp.zeros(GRID**2, bool), jnp.zeros((capacity.shapes - NUM_WALLS) * ANCHORS**2, bool)
     place, attach = jax.lax.cond(
         places, lambda: (free_places(building, capacity), free_joints(building, capacity)), lambda: nowhere
@@ -54,7 +54,7 @@ def allowed(building: Construction, step: Array, capacity: Capacity, config: Gen
     colours = jnp.arange(everything["colour"].shape[0])
     on_thruster = jnp.repeat(_can_carry(building.draft)[NUM_WALLS:], ANCHORS**2)
     masks = {
-        "what": jnp.where(
+        "addition": jnp.where(
             describes, _describable(building, step, capacity), if_(pushes, _thruster_or_none(building, step, capacity))
         ),
         "width": if_(describes, everything["width"]),
@@ -74,7 +74,7 @@ def allowed(building: Construction, step: Array, capacity: Capacity, config: Gen
 
 
 def _describable(building: Construction, step: Array, capacity: Capacity) -> Array:
-    """[len(What)] bool: kinds that the next shape can be of."""
+    """[len(Addition)] bool: kinds that the next shape can be of."""
     draft, polygons = building.draft, capacity.polygons
     shapes = draft.shapes
     is_first = step < 4  # green, then blue
@@ -82,25 +82,25 @@ def _describable(building: Construction, step: Array, capacity: Capacity) -> Arr
     holds_box, holds_circle = (can_hold(draft, capacity, is_box).any() for is_box in (True, False))
     may_join, may_be_red = ~is_first & ~draft.joints.active.all(), ~is_first & ~(shapes.role == Role.RED).any()
     can = {
-        What.NOTHING: ~is_first,
-        What.BOX: room_box,
-        What.CIRCLE: room_circle,
-        What.JOINED_BOX: room_box & holds_box & may_join,
-        What.JOINED_CIRCLE: room_circle & holds_circle & may_join,
-        What.RED_BOX: room_box & may_be_red,
-        What.RED_CIRCLE: room_circle & may_be_red,
-        What.THRUSTER: jnp.array(False),
+        Addition.NOTHING: ~is_first,
+        Addition.BOX: room_box,
+        Addition.CIRCLE: room_circle,
+        Addition.JOINED_BOX: room_box & holds_box & may_join,
+        Addition.JOINED_CIRCLE: room_circle & holds_circle & may_join,
+        Addition.RED_BOX: room_box & may_be_red,
+        Addition.RED_CIRCLE: room_circle & may_be_red,
+        Addition.THRUSTER: jnp.array(False),
     }
-    return jnp.stack([can[what] for what in What])
+    return jnp.stack([can[addition] for addition in Addition])
 
 
 def _thruster_or_none(building: Construction, step: Array, capacity: Capacity) -> Array:
-    """[len(What)] bool. The last step has to add a thruster where there is no other control."""
+    """[len(Addition)] bool. The last step has to add a thruster where there is no other control."""
     joints, thrusters = building.draft.joints, building.draft.thrusters
     has_control = (joints.active & joints.motor_on).any() | thrusters.active.any()
     is_last = step == num_steps(capacity) - 1
-    what = jnp.arange(len(What))
-    return (what == What.THRUSTER) | ((what == What.NOTHING) & (has_control | ~is_last))
+    addition = jnp.arange(len(Addition))
+    return (addition == Addition.THRUSTER) | ((addition == Addition.NOTHING) & (has_control | ~is_last))
 
 
 def _can_carry(draft: Draft) -> Array:
@@ -137,7 +137,7 @@ def free_joints(building: Construction, capacity: Capacity) -> Array:
 
 def is_free_joint(building: Construction, choice: Array, capacity: Capacity) -> Array:
     shapes = building.draft.shapes
-    holds = can_hold(building.draft, capacity, is_one_of(building.what, BOXES))
+    holds = can_hold(building.draft, capacity, is_one_of(building.addition, BOXES))
     target, anchor = attachment(choice)
     partner = read_slot(shapes, target)
     is_circle = target >= capacity.polygons  # held at its centre

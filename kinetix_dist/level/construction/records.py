@@ -24,8 +24,8 @@ LIMITS_RAD = (0.0, math.pi / 4, math.pi / 2)  # of a hinge between boxes, to bot
 NUM_DRAWS = 8  # uniform numbers of a step
 
 
-class What(enum.IntEnum):
-    """Addition of a step."""
+class Addition(enum.IntEnum):
+    """Shape or thruster that a step adds."""
 
     NOTHING = 0
     BOX = 1
@@ -37,9 +37,9 @@ class What(enum.IntEnum):
     THRUSTER = 7
 
 
-BOXES = (What.BOX, What.JOINED_BOX, What.RED_BOX)
-JOINED = (What.JOINED_BOX, What.JOINED_CIRCLE)
-RED = (What.RED_BOX, What.RED_CIRCLE)
+BOXES = (Addition.BOX, Addition.JOINED_BOX, Addition.RED_BOX)
+JOINED = (Addition.JOINED_BOX, Addition.JOINED_CIRCLE)
+RED = (Addition.RED_BOX, Addition.RED_CIRCLE)
 
 
 class Motor(enum.IntEnum):
@@ -51,7 +51,7 @@ class Motor(enum.IntEnum):
 
 
 HEADS = (
-    "what",  # of `What`
+    "addition",  # of `Addition`
     "width",  # of a box; of a circle the radius
     "height",  # of a box
     "angle",  # of a shape, or in which direction a thruster pushes
@@ -70,7 +70,7 @@ HEADS = (
 def head_sizes(capacity: Capacity) -> tuple[int, ...]:
     """Choices of each head."""
     sizes = {
-        "what": len(What),
+        "addition": len(Addition),
         "width": NUM_SIZES,
         "height": NUM_SIZES,
         "angle": NUM_ANGLES,
@@ -98,7 +98,7 @@ class Construction:
     """A level that is being built."""
 
     draft: Draft
-    what: Array  # int32, of `What`: the shape that was described and is to be placed
+    addition: Array  # int32, of `Addition`: the shape that was described and is to be placed
     shape: Shapes  # that shape without the leading axis, at the origin
     own_anchor: Array  # [2] m, in its frame
 
@@ -142,7 +142,9 @@ def begin(capacity: Capacity) -> Construction:
     """The empty box."""
     draft = empty_draft(capacity)
     nothing = jax.tree.map(lambda column: jnp.zeros_like(column[0]), draft.shapes)
-    return Construction(draft=draft, what=jnp.int32(What.NOTHING), shape=nothing, own_anchor=jnp.zeros(2, jnp.float32))
+    return Construction(
+        draft=draft, addition=jnp.int32(Addition.NOTHING), shape=nothing, own_anchor=jnp.zeros(2, jnp.float32)
+    )
 
 
 def num_order_draws(capacity: Capacity) -> int:
@@ -170,5 +172,5 @@ def is_placing(step: Array, capacity: Capacity) -> Array:
     return (step < num_shape_steps(capacity)) & (step % 2 == 1)
 
 
-def is_one_of(what: Array, kinds: tuple[What, ...]) -> Array:
-    return (what[..., None] == jnp.array(kinds, jnp.int32)).any(-1)
+def is_one_of(addition: Array, kinds: tuple[Addition, ...]) -> Array:
+    return (addition[..., None] == jnp.array(kinds, jnp.int32)).any(-1)

@@ -2,9 +2,9 @@
 
     build about the origin -> on the floor at one side -> goal at the other -> obstacle between -> permute slots
 
-Arms and beams hang in the middle instead, with the goal within reach, and flyers begin in the air. Green is what is
-carried (chassis, torso), pushed or balanced, or the last link of an arm; blue is a circle. Nothing overlaps at the
-start but what is joined: green's side and the goal's are apart by construction. Everything is for one level, pure, and
+Arms and beams hang in the middle instead, with the goal within reach, and flyers begin in the air. Green is the carried
+part (chassis, torso), the load, the balanced part, or the last link of an arm; blue is a circle. Only joined shapes
+overlap at the start: green's side and the goal's are apart by construction. Everything is for one level, pure, and
 works inside jit and vmap; sizes are those at which motors and thrusters of these powers move the mechanism.
 """
 

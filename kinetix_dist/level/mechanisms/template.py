@@ -28,8 +28,8 @@ Thrust = TypeVar("Thrust", bound="Thruster")
 # Types of entries, each as the value of a row that is not in use.
 NUMBER, POINT, COUNT, FLAG = np.float32(0.0), np.zeros(2, np.float32), np.int32(0), np.False_
 EMPTY = "empty"  # key of that value in the metadata of a field
-WALL_MARGIN_M = 0.1  # from a wall to what begins beside it
-CLEARANCE_M = 0.01  # above what carries it, so that nothing touches it at the start
+WALL_MARGIN_M = 0.1  # from a wall to the nearest shape
+CLEARANCE_M = 0.01  # above a carrying surface, so that nothing touches at the start
 GRAVITY_M_S2 = 9.81
 NEWTON = 0.1  # thruster power that gives one
 _NUM_DRAWS = 80
@@ -167,11 +167,13 @@ class Task:
     goal_rise_span: float = entry(NUMBER, 0.5)  # from the lowest to the highest such share
     goal_height: Optional = entry(NUMBER, OPEN)  # of the goal's centre in the world, instead
     has_bump: bool | Array = entry(FLAG, True)  # there may be one on the floor on the way
-    gap: Optional = entry(NUMBER, OPEN)  # half of what pillars on the way leave; given: there are pillars or blocks
+    gap: Optional = entry(
+        NUMBER, OPEN
+    )  # half of the opening between pillars on the way; given: there are pillars or blocks
     # Motors and floor
     colours_in_turn: bool | Array = entry(FLAG, False)  # each motor has the colour after that of the one before
     has_full_motors: bool | Array = entry(FLAG, False)  # all at the highest speed and power
-    has_weak_motors: bool | Array = entry(FLAG, False)  # all slow and weak: they hardly lift what they carry
+    has_weak_motors: bool | Array = entry(FLAG, False)  # all slow and weak: they hardly lift their load
     motor_power: Optional = entry(NUMBER, OPEN)  # of all motors, instead
     floor_is_red: Optional = entry(FLAG, OPEN)  # open: as often as in all levels
 

@@ -77,7 +77,7 @@ def _with_motors(draws: Draws, draft: Draft, table: Table, capacity: Capacity, c
         return draft
     one_colour = draws.chance(0.5)
     first = draws.number(0, NUM_MOTOR_COLOURS - 1)
-    # Drawn in this order: levels of a key stay what they are.
+    # The order of the draws determines the levels of a key.
     speed, power, colour = draws.rows(number, 3).T
     is_wheel = jnp.maximum(joints.a, joints.b) >= capacity.polygons
     lowest = jnp.where(task.has_weak_motors, WEAK_SPEEDS[0], config.motor_speed_min)

@@ -96,7 +96,8 @@ def _links_on_a_disc(
 
 
 def _behind_the_links(draws: Draws, towards: Array) -> Array:
-    """[2] a direction. Links keep within 0.6 rad of `towards`; what is more than 1.9 rad from it is behind them all."""
+    """[2] a direction. Links stay within 0.6 rad of `towards`; directions beyond 1.9 rad from it are behind them
+    all."""
     angle = towards + math.pi + draws.between(-1.0, 1.0)
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 

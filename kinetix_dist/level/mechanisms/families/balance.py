@@ -91,7 +91,7 @@ def build_beam(draws: Draws, capacity: Capacity) -> Mechanism:
     pivot = draws.between(0.1, 0.16)
     start = -side * draws.between(0.1, 0.8) * (half[0] - ball)
     parts = [
-        # Below the upper side of the beam: what rolls along it passes.
+        # Below the upper side of the beam: a disc that rolls along it passes.
         Part(position=jnp.stack([jnp.zeros((), jnp.float32), 0.5 * half[1] - pivot]), radius=pivot, is_fixed=True),
         Part(position=jnp.zeros(2, jnp.float32), half=half),
         Part(position=jnp.stack([start, half[1] + ball + CLEARANCE_M]), radius=ball, role=Role.GREEN),

@@ -17,7 +17,7 @@ from kinetix_dist.level.mechanisms.template import CLEARANCE_M, Draws, Joint, Me
 def build_unicycle(draws: Draws, capacity: Capacity) -> Mechanism:
     """A box above a wheel."""
     radius = draws.between(0.14, 0.28)
-    # Tall enough that it stands out above the wheel: green is what must touch blue.
+    # Tall enough that it stands out above the wheel: green must touch blue.
     half = jnp.stack([draws.between(0.1, 0.3), draws.between(0.8 * radius, 0.35)])
     height = half[1] * draws.between(0.75, 0.95)
     wheel = Part(position=jnp.zeros(2, jnp.float32), radius=radius)

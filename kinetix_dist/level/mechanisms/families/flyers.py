@@ -103,7 +103,7 @@ def build_climber(draws: Draws, capacity: Capacity) -> Mechanism:
     number = jnp.where(is_shelf, 1, number)
     middle, bars = in_world(start_x, start_y), []
     for bar in range(MAX_BARS):
-        beyond = start_x + size * draws.between(0.0, 1.0)  # it is over half of what flies at least
+        beyond = start_x + size * draws.between(0.0, 1.0)  # it covers half of the flyer at least
         begin, end = draws.between(0.02, 0.4), draws.between(beyond, WORLD_SIZE_M - 2.0 * size - 0.8)
         begin = jnp.where(is_shelf, shelf_x - shelf_reach, begin)
         end = jnp.where(is_shelf, shelf_x + shelf_reach, end)
@@ -144,7 +144,7 @@ def build_lander(draws: Draws, capacity: Capacity) -> Mechanism:
         has_legs = draws.chance(0.5) & ~has_rope
         leg, splay = jnp.stack([draws.between(0.02, 0.03), draws.between(0.05, 0.09)]), draws.between(0.3, 0.9)
         link = jnp.stack([draws.between(0.03, 0.045), draws.between(0.08, 0.15)])
-        # Feet end above the lower side of the box: green is what must touch blue.
+        # Feet end above the lower side of the box: green must touch blue.
         hip_y = 1.9 * leg[1] * jnp.cos(splay) + leg[0] * jnp.sin(splay) - half[1]
         for side in (-1.0, 1.0):
             hip = jnp.stack([side * 0.9 * half[0], hip_y])
