@@ -2,7 +2,7 @@
 # Everything is installed into .venv; `make install` is repeated only when the lock or pyproject.toml changes.
 
 .DEFAULT_GOAL := help
-.PHONY: help install train test test-slow test-gpu test-newer-jax test-faults test-faults-long check check-web browser vendor format lock bench-engine bench-engine-peers bundle clean
+.PHONY: help install train test test-slow test-gpu test-newer-jax test-faults test-faults-long check check-web browser vendor format lock docs bench-engine bench-engine-peers bundle clean
 .SUFFIXES:
 
 # Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.12, 3.13, 3.11, python3
@@ -34,6 +34,7 @@ help:
 	@echo "make check         install, then ruff and the type checker only"
 	@echo "make install       .venv with the pinned packages and this one (editable)"
 	@echo "make bench-engine  physics steps per second on this machine   (bench-engine-peers: next to the published engine)"
+	@echo "make docs          the pages as a site, in dist/docs"
 	@echo "make bundle        everything an installation needs, in dist/bundle, for machines without a network (EXTRA=cuda13)"
 	@echo "make lock          renew requirements.lock from pyproject.toml"
 
@@ -121,7 +122,7 @@ bench-engine-peers: $(STAMP)
 
 # The lock holds versions and hashes only: whoever installs chooses the registry.
 lock: $(STAMP)
-	$(BIN)/uv pip compile pyproject.toml --extra dev --extra wrappers --universal --python-version 3.11 --generate-hashes \
+	$(BIN)/uv pip compile pyproject.toml --extra dev --extra wrappers --extra docs --universal --python-version 3.11 --generate-hashes \
 		--no-header --no-annotate --upgrade --output-file requirements.lock
 
 # For machines of the same Python, system and processor that have no network: bash dist/bundle/install.sh VENV
@@ -129,6 +130,12 @@ BUNDLE ?= dist/bundle
 EXTRA ?=
 bundle: $(STAMP)
 	PYTHON=$(BIN)/python bash cluster/bundle.sh "$(BUNDLE)" $(EXTRA)
+
+# The pages as a site, from the files alone: dist/docs/html/docs/index.html. A link that leads nowhere is an error.
+SITE := dist/docs
+docs: $(STAMP)
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet --builder html --conf-dir docs . "$(SITE)/html" --doctree-dir "$(SITE)/doctrees"
+	@echo "made $(SITE)/html/docs/index.html"
 
 clean:
 	rm -rf $(VENV) .cache .pytest_cache .ruff_cache

@@ -53,7 +53,7 @@ from kinetix_dist.models.policy import DTYPES
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.playing import make_environment
-from kinetix_dist.runtime.cores.rollout_core import Batch, RolloutCore
+from kinetix_dist.runtime.cores.rollout_core import Batch, Players, RolloutCore
 from kinetix_dist.trained_policy import Trained, checkpoint_at
 
 QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "q999": 0.999, "max": 1.0}
@@ -103,7 +103,8 @@ def rounding_of(trained: Trained, config: TrainConfig, *, is_checked: bool) -> d
         policy, params = load_policy(trained.checkpoint, config.policy, env, one_level)
     params = jax.tree.map(jnp.asarray, params)
     curriculum = make_curriculum(config, env, policy, mesh)
-    rollout = RolloutCore(config, env, policy, curriculum, mesh, groups=range(config.rollout.num_groups))
+    players = Players(env, policy, curriculum)
+    rollout = RolloutCore(config, players, mesh, groups=range(config.rollout.num_groups))
     batch, _, _ = rollout.play(params, jax.tree.map(jnp.asarray, curriculum.init()), 0)
     program = _Program(policy, env.observation, env.action_distribution, config.ppo, rollout.division)
     compute = log_ratios_of(program, mesh, *batch.trajectory.rewards.shape)

@@ -38,7 +38,7 @@ def test_files_that_people_write_are_read_with_a_byte_order_mark(encoding: str, 
     phases = tmp_path / "phases.json"
     phases.write_bytes('[{"start": 1000}]'.encode(encoding))
     assert read_phases(phases) == [{"start": 1000}]
-    example = REPOSITORY / "docs" / "examples" / "sweep_curricula_s.toml"
+    example = REPOSITORY / "examples" / "sweeps" / "curricula_s.toml"
     (tmp_path / "sweep.toml").write_bytes(example.read_text(encoding="utf-8").encode(encoding))
     assert read_design(tmp_path / "sweep.toml") == read_design(example)
     (tmp_path / "cart.json").write_bytes(json.dumps(cart_document()).encode(encoding))

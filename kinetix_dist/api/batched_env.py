@@ -69,7 +69,7 @@ class BatchedEnv:
 
     @property
     def observation_space(self) -> Any:
-        """Shapes and types of an observation of one world, as `jax.ShapeDtypeStruct`s."""
+        """Shapes and types of an observation of one world, each a `jax.ShapeDtypeStruct`."""
         return self.environment.observation_space
 
     def reset(self, key: Array) -> tuple[Any, BatchState]:

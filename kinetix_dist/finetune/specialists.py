@@ -34,6 +34,7 @@ from kinetix_dist.program_cache import compile_seconds, count_compile_seconds
 from kinetix_dist.runtime import (
     EVALUATION_STREAM,
     LearnerCore,
+    Players,
     RolloutCore,
     check_memory,
     is_over,
@@ -153,9 +154,7 @@ class Specialists:
         self._learner = LearnerCore(config, self._env, policy, self._mesh)
         self._rollout = RolloutCore(
             config,
-            self._env,
-            policy,
-            curriculum,
+            Players(self._env, policy, curriculum),
             self._mesh,
             groups=range(config.rollout.num_groups),
             division=self._learner.division,

@@ -33,6 +33,13 @@ def test_documents_wrap_below_120_columns(document: Path) -> None:
     assert not [line for line in text.splitlines() if len(line) >= 120 and not line.startswith("|")]
 
 
+def test_readme_is_short() -> None:
+    lines = README.splitlines()
+    cells = [cell.strip() for line in lines if line.startswith("|") for cell in line.strip("|").split(" | ")]
+    assert len(lines) <= 120
+    assert not [cell for cell in cells if len(re.sub(r"\]\([^)]*\)", "]", cell)) >= 150]  # addresses are not read
+
+
 def shell_lines(text: str) -> list[str]:
     """Commands in the fenced shell blocks of a Markdown text, without comments and continuation lines joined."""
     blocks = re.findall(r"```(?:sh|bash|console)\n(.*?)```", text, re.DOTALL)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 
-class Told:
+class Facts:
     """Returns the environment of its process."""
 
     def environment(self, name: str) -> str | None:
@@ -28,9 +28,9 @@ class Greedy:
         return jnp.zeros(1 << 50, jnp.int8).sum()
 
 
-def build_told(index: int, num_processes: int) -> Told:
+def build_facts(index: int, num_processes: int) -> Facts:
     del index, num_processes
-    return Told()
+    return Facts()
 
 
 def build_greedy(index: int, num_processes: int) -> Greedy:
@@ -46,7 +46,7 @@ def build_from_missing_levels(index: int, num_processes: int, path: str) -> Any:
     return load_level_set(path, "s")
 
 
-def build_together(index: int, num_processes: int, meeting: str, count: int) -> Told:
+def build_together(index: int, num_processes: int, meeting: str, count: int) -> Facts:
     """Is done when `count` processes are at it: those that are started one after another never are."""
     del index, num_processes
     here = Path(meeting) / str(os.getpid())
@@ -56,7 +56,7 @@ def build_together(index: int, num_processes: int, meeting: str, count: int) -> 
         if time.monotonic() > deadline:
             raise TimeoutError(f"{count} processes were not built at the same time")
         time.sleep(0.05)
-    return Told()
+    return Facts()
 
 
 class HangingStamp(dict[str, Any]):

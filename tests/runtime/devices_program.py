@@ -23,7 +23,7 @@ from kinetix_dist.runtime.cores.worker import Worker
 from tests.runtime.runs import tiny_config
 
 NUM_UPDATES = 2
-PLUGINS = ("tests.runtime.fake_curriculum",)
+PLUGINS = ("examples.own_curriculum",)
 CURRICULA = {
     "most_failed": CurriculumConfig(name="most_failed", levels="designed_s"),
     "paired": CurriculumConfig(name="paired", paired=PairedConfig(hidden_size=16, epochs=2)),
@@ -56,7 +56,7 @@ def play_and_learn(curriculum: str, num_devices: int) -> dict[str, np.ndarray]:
     if worker._curriculum.refreshes:
         worker.adopt(worker._curriculum.refresh_part(worker._learner.params, 0, jax.random.key(0), 0, 1))
     rollout = worker._playing.rollout(worker._config)
-    batch, (proposal, _), sums = rollout.play(worker._learner.params, worker._state.placed, 0)
+    batch, (proposal, _), sums = rollout.play(worker._learner.params, worker._state.on_devices, 0)
 
     def once(x: jax.Array, axis: int = 0) -> np.ndarray:
         return np.take(np.asarray(x), rollout.division.gathered(x.shape[axis]), axis=axis)

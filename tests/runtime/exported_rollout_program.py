@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from kinetix_dist.learner.sharding import data_mesh
-from kinetix_dist.runtime.cores.rollout_core import RolloutCore
+from kinetix_dist.runtime.cores.rollout_core import Players, RolloutCore
 from kinetix_dist.runtime.cores.worker import Worker
 from tests.helpers import compile_cache
 from tests.runtime.runs import tiny_config
@@ -30,10 +30,11 @@ def play(*, is_exported: bool = True) -> dict[str, Any]:
     _, refreshed = worker.refresh(worker.released(), 0, 0, 1)
     worker.adopt(refreshed)
     playing, groups = worker._playing, range(config.rollout.num_groups)
-    parts = playing.environment(config), playing.policy, playing.curriculum(config), worker._mesh
+    players = Players(playing.environment(config), playing.policy, playing.curriculum(config))
     with mock.patch.object(RolloutCore, "_play_shard", autospec=True, side_effect=RolloutCore._play_shard) as traced:
-        core = playing.rollout(config) if is_exported else RolloutCore(config, *parts, groups=groups)
-        results = core.play(worker._learner.params, worker._state.placed, 0)
+        traced_here = RolloutCore(config, players, worker._mesh, groups=groups)
+        core = playing.rollout(config) if is_exported else traced_here
+        results = core.play(worker._learner.params, worker._state.on_devices, 0)
     content = hashlib.sha256()
     for path, leaf in jax.tree_util.tree_leaves_with_path(results):
         content.update(f"{jax.tree_util.keystr(path)} {leaf.dtype} {leaf.shape}".encode())

@@ -75,7 +75,7 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
     worker._evaluation_programs.wait()
 
 
-def test_a_new_policy_is_evaluated_by_the_program_that_was_compiled_beside_that_of_random_actions(lowered, monkeypatch):
+def test_a_new_policy_is_evaluated_by_the_program_that_was_compiled_while_random_actions_played(lowered, monkeypatch):
     monkeypatch.setattr(programs, "has_cores", lambda: True)
     config, mesh = tiny_config(num_updates=8), data_mesh(jax.devices()[:1])
     before = Worker(config, mesh)
@@ -100,7 +100,7 @@ CALLS: dict[str, tuple[str, list[Any]]] = {
 
 
 @pytest.mark.parametrize("programs", CALLS)
-def test_what_kept_a_program_from_being_compiled_is_raised_by_the_call_that_runs_it(programs):
+def test_an_error_of_a_compilation_is_raised_by_the_call_that_runs_the_program(programs):
     call, arguments = CALLS[programs]
     worker = Worker.__new__(Worker)  # nothing else of it is used before
     setattr(worker, programs, Ahead())
@@ -124,7 +124,7 @@ class _Handle:
 
 
 @pytest.mark.parametrize("works_in_background", [False, True])
-def test_workers_that_work_beside_are_told_what_comes_first(works_in_background):
+def test_workers_in_the_background_know_which_update_comes_first(works_in_background):
     handle = _Handle()
 
     class Backend(LocalBackend):
@@ -171,7 +171,7 @@ def test_kernels_are_launched_as_they_were_traced_in_whatever_thread():
     assert sorted(launched) == [(number, number, (number << 32) | number) for number in (1, 2, 3)]
 
 
-def test_who_waits_for_programs_raises_what_kept_them_from_being_compiled():
+def test_waiting_for_programs_raises_errors_of_their_compilation():
     programs, may_end = Ahead(), threading.Event()
 
     def compile_two() -> None:

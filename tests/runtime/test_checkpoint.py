@@ -51,7 +51,7 @@ def test_what_was_saved_is_restored_bit_for_bit(tmp_path):
     assert checkpoint.description["num_updates"] == 7
 
 
-def test_only_the_newest_are_kept(tmp_path):
+def test_only_the_newest_stay(tmp_path):
     for number in (1, 2, 3):
         _save(tmp_path, number, keep=2)
     assert [path.name for path in list_checkpoints(tmp_path)] == ["00000002", "00000003"]

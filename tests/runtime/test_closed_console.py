@@ -25,7 +25,7 @@ def _events(run, kind):
     return [row for row in read_lines(run.events).rows if row["event"] == kind]
 
 
-def test_lines_are_dropped_and_told_of_once_and_the_rest_of_a_run_goes_on(tmp_path):
+def test_lines_are_dropped_and_reported_once_and_the_rest_of_a_run_goes_on(tmp_path):
     reads, writes = os.pipe()
     os.set_blocking(writes, False)
     while True:  # until it takes no more

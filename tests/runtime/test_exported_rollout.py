@@ -65,7 +65,7 @@ def key_of(monkeypatch: pytest.MonkeyPatch) -> Any:
 def test_what_is_not_of_this_project_is_traced_in_every_process(key_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     config = tiny_config(num_updates=1)
     assert key_of(config) is not None
-    plugins = dataclasses.replace(config.run, plugins=("tests.runtime.fake_curriculum",))
+    plugins = dataclasses.replace(config.run, plugins=("examples.own_curriculum",))
     assert key_of(dataclasses.replace(config, run=plugins)) is None
     given = CurriculumConfig(name="fixed", levels="designed_s")  # files, which may change too
     assert key_of(dataclasses.replace(config, curriculum=given)) is None

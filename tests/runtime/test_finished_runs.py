@@ -100,7 +100,7 @@ def test_a_directory_with_characters_of_patterns_holds_a_run_like_any_other(fini
     assert newest_run(here, "plain[2]") == here / "plain[2]"
 
 
-def test_a_run_whose_configuration_has_no_space_is_told_to_start_again(tmp_path, monkeypatch, capsys):
+def test_a_run_whose_configuration_has_no_space_has_to_start_again(tmp_path, monkeypatch, capsys):
     """No checkpoint exists that --resume could go on with."""
 
     def full(run, path, content):

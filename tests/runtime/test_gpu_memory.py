@@ -70,9 +70,9 @@ def test_worker_and_curator_fit_on_one_gpu_with_all_that_they_were_seen_to_take(
     budgets = _budgets(recipe(f"sfl_{size}"))
     taken = 0
     for budget in budgets.values():
-        beside_pool = MEASURED_CONTEXT + MEASURED_PROGRAMS + MEASURED_LOCAL_MIB[size] * MIB
-        assert beside_pool < budget.reserve_bytes
-        taken += float(budget.environment["XLA_CLIENT_MEM_FRACTION"]) * H200.total_bytes + beside_pool
+        next_to_pool = MEASURED_CONTEXT + MEASURED_PROGRAMS + MEASURED_LOCAL_MIB[size] * MIB
+        assert next_to_pool < budget.reserve_bytes
+        taken += float(budget.environment["XLA_CLIENT_MEM_FRACTION"]) * H200.total_bytes + next_to_pool
     assert taken < 0.98 * H200.total_bytes
     assert budgets["curator 0"].pool_bytes > 3 * 309 * MIB  # scoring 4,096 levels of M
     assert budgets["worker 0"].pool_bytes > 0.85 * H200.total_bytes
@@ -177,7 +177,7 @@ def test_other_errors_keep_their_own_words():
     assert str(failure_of("worker 1", KeyError("x"), None)) == "worker 1 failed: KeyError: 'x'"
 
 
-def test_what_a_process_imports_does_not_start_jax_before_it_is_told_its_memory():
+def test_imports_do_not_start_jax_before_the_memory_budget_is_set():
     code = (
         "import kinetix_dist.runtime.processes.actor, kinetix_dist.runtime.cores.build\n"
         "from jax._src import xla_bridge\n"

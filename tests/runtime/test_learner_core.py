@@ -31,7 +31,7 @@ def test_a_learner_exports_what_is_of_this_project_alone(monkeypatch: pytest.Mon
 
     config = tiny_config(num_updates=1)
     assert is_exported(config)
-    plugins = dataclasses.replace(config.run, plugins=("tests.runtime.fake_curriculum",))
+    plugins = dataclasses.replace(config.run, plugins=("examples.own_curriculum",))
     assert not is_exported(dataclasses.replace(config, run=plugins))
     of_a_user = dataclasses.replace(NETWORKS["transformer"], build=lambda config, head_sizes: OfAUser(head_sizes))
     monkeypatch.setattr(NETWORKS, "_parts", {**NETWORKS._parts, "transformer": of_a_user})

@@ -56,7 +56,7 @@ def eight_updates(tmp_path_factory):
     return path, reporter.rows
 
 
-def test_a_buffer_asked_for_at_update_k_is_used_from_k_plus_adopt_after_on(eight_updates):
+def test_a_buffer_requested_at_update_k_is_used_from_k_plus_adopt_after_on(eight_updates):
     path, rows = eight_updates  # refresh every 3, adopted after 2; the first at once
     events = [json.loads(line) for line in (path / "events.jsonl").read_text().splitlines()]
     adopted = [(e["policy_version"], e["update"]) for e in events if e["event"] == "buffer_adopted"]
@@ -278,7 +278,7 @@ def test_a_run_killed_by_sigkill_and_resumed_equals_an_unbroken_one_bit_for_bit(
     assert json.loads((killed / "report.json").read_text())["policy_updates"] == num_updates
 
 
-def test_a_refresh_in_flight_is_asked_for_again_with_the_same_weights(tmp_path):
+def test_a_refresh_in_flight_is_requested_again_with_the_same_weights(tmp_path):
     config = tiny_config(num_updates=4, checkpoint_every=4)  # requested at 3, adopted at 5
     _run_local(config, tmp_path / "run")
     arrays = final_arrays(tmp_path / "run")

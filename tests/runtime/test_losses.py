@@ -188,7 +188,7 @@ def test_losses_of_an_hour_ago_are_forgotten(monkeypatch):
         losses.lost(WorkerLostError("worker 0 died", process="worker 0"))
 
 
-def test_of_the_log_of_a_lost_process_and_of_its_group_the_end_is_kept(tmp_path):
+def test_the_ends_of_the_logs_of_a_lost_process_and_its_group_are_stored(tmp_path):
     stored, noted = {}, []
 
     def keep(name, text):
@@ -254,7 +254,7 @@ def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
     assert curator.take(patience_s=1.0).parts[0].fetch() == 12
 
 
-def _train_beside(config, backend, path, at_update=None):
+def _train_in_background(config, backend, path, at_update=None):
     """(controller, rows). at_update(number, curator) is called after every update."""
     placement = plan_placement(config, num_gpus=0)
     trainer = ColocatedTrainer(config, backend, placement.of("worker"))
@@ -285,7 +285,7 @@ def test_training_goes_on_without_a_curator_and_what_is_computed_again_does_the_
         if number == 8 and number_of_signal == signal.SIGSTOP:
             os.kill(stopped[0], signal.SIGCONT)
 
-    rows_of = _train_beside(config, backend, tmp_path / "ray", stop_it)
+    rows_of = _train_in_background(config, backend, tmp_path / "ray", stop_it)
     stale = [row["update"] for row in rows_of if row["curriculum/buffer_is_stale"]]
     assert 6 in stale, stale
     (late,) = events(tmp_path / "ray", "buffer_late", policy_version=3)
@@ -303,5 +303,5 @@ def test_training_goes_on_without_a_curator_and_what_is_computed_again_does_the_
     again = RunDirectory.create(tmp_path / "again", numbered=False)
     again.write_json(again.adoptions_path, record)
     again.close()
-    _train_beside(config, LocalBackend(), tmp_path / "again")
+    _train_in_background(config, LocalBackend(), tmp_path / "again")
     assert_same_bits(final_arrays(tmp_path / "again"), final_arrays(tmp_path / "ray"))

@@ -87,7 +87,7 @@ def test_learnability_of_a_fresh_level_needs_two_episodes():
 # Placement
 
 
-def test_colocated_is_one_worker_a_gpu_and_a_curator_beside_the_first():
+def test_colocated_is_one_worker_a_gpu_and_a_curator_with_the_first():
     placement = plan_placement(without_evaluator(recipe("sfl_s")), num_gpus=2)
     assert [(p.name, p.gpu, p.gpu_share) for p in placement.processes] == [
         ("worker 0", 0, 0.5),
@@ -97,7 +97,7 @@ def test_colocated_is_one_worker_a_gpu_and_a_curator_beside_the_first():
 
 
 @pytest.mark.parametrize("name", [name for name in RECIPES if recipe(name).run.device == "gpu"])
-def test_recipes_for_gpus_evaluate_and_record_beside_training(name):
+def test_recipes_for_gpus_evaluate_and_record_in_the_background(name):
     config = recipe(name)
     assert config.evaluates_in_background and config.evaluation.every > 0 and config.recording.every > 0
     num_updates = config.run.total_env_steps // config.rollout.steps_per_update
@@ -107,7 +107,7 @@ def test_recipes_for_gpus_evaluate_and_record_beside_training(name):
     ]
 
 
-def test_split_has_its_curator_beside_the_first_rollout_actor():
+def test_split_has_its_curator_with_the_first_rollout_actor():
     config = without_evaluator(recipe("sfl_s"))
     config = dataclasses.replace(config, run=dataclasses.replace(config.run, placement="split", num_rollout_actors=2))
     placement = plan_placement(config, num_gpus=4)
@@ -199,7 +199,7 @@ def test_rollout_actors_can_play_on_gpus_and_on_cpus_in_one_run():
         placed(2, num_rollout_actors=1, num_cpu_rollout_actors=2)
 
 
-def test_on_cpu_every_process_is_told_to_leave_gpus_alone():
+def test_on_cpu_no_process_sees_gpus():
     placement = plan_placement(tiny_config(num_updates=1, placement="split", num_rollout_actors=2), num_gpus=0)
     assert [p.role for p in placement.processes] == ["learner", "rollout", "rollout", "curator"]
     assert all(p.env_vars == {"JAX_PLATFORMS": "cpu"} and p.memory is None for p in placement.processes)
@@ -248,7 +248,7 @@ def test_the_work_buffer_is_bounded():
         buffer.put(_work(2, 1))
 
 
-def test_weights_are_kept_while_recent():
+def test_weights_are_stored_while_recent():
     store = WeightStore(keep_last=2)
     for version in (0, 1, 2, 3):
         store.publish(version, version)

@@ -108,7 +108,7 @@ def unbroken(request, tmp_path_factory):
     return config, path, _train(config, path, resume=False, reporter=reporter), reporter.notes
 
 
-def test_each_phase_is_told_and_counted(unbroken):
+def test_each_phase_is_noted_and_counted(unbroken):
     config, path, rows, notes = unbroken
     assert [row["progress/phase"] for row in rows] == [0, 1, 1, 2, 2]
     assert [row["progress/env_steps"] for row in rows] == [128, 256, 384, 640, 896]

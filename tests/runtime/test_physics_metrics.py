@@ -13,7 +13,7 @@ from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
-from kinetix_dist.runtime.cores.rollout_core import RolloutCore
+from kinetix_dist.runtime.cores.rollout_core import Players, RolloutCore
 from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
@@ -67,7 +67,8 @@ def _sums(effects, weights):
     env = Environment(config.env, engine=Engine(config.env.capacity, effects=effects))
     policy = make_policy(config.policy, env.action_distribution.head_sizes)
     curriculum = make_curriculum(config, env, policy, data_mesh())
-    core = RolloutCore(config, env, policy, curriculum, data_mesh(), groups=range(config.rollout.num_groups))
+    players = Players(env, policy, curriculum)
+    core = RolloutCore(config, players, data_mesh(), groups=range(config.rollout.num_groups))
     return jax.device_get(core.play(weights, curriculum.init(), 0)[-1])["physics"]
 
 

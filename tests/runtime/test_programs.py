@@ -16,7 +16,7 @@ from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh, on_devices
 from kinetix_dist.learner.update import make_update
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
 from kinetix_dist.runtime.cores.playing import Playing
-from kinetix_dist.runtime.cores.rollout_core import RolloutCore
+from kinetix_dist.runtime.cores.rollout_core import Players, RolloutCore
 from tests.runtime.runs import tiny_config
 
 
@@ -49,7 +49,7 @@ def test_of_playing_and_of_learning(recurrent):
     playing, groups = Playing(config, mesh), range(config.rollout.num_groups)
     env, policy, curriculum = playing.environment(config), playing.policy, playing.curriculum(config)
     # Traced ones: an exported program hides what it was made from.
-    play = RolloutCore(config, env, policy, curriculum, mesh, groups=groups).program
+    play = RolloutCore(config, Players(env, policy, curriculum), mesh, groups=groups).program
     update = make_update(policy, env.observation, env.action_distribution, config.ppo, mesh)
     state = LearnerCore(config, env, policy, mesh).shapes
     played = state.params, jax.eval_shape(curriculum.init), jnp.uint32(0)

@@ -25,10 +25,10 @@ from kinetix_dist.telemetry.names import check_metrics
 from tests.helpers import PATIENCE_S
 from tests.runtime.cores_for_tests import (
     build_compiler,
+    build_facts,
     build_from_missing_levels,
     build_greedy,
     build_together,
-    build_told,
 )
 from tests.runtime.runs import without_evaluator
 
@@ -58,13 +58,13 @@ def _devices(handles, backend):
 def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_restart(backend):
     placement = _plan_of_slots(num_gpus=2)  # of three
     backend.reserve(placement)
-    workers = [backend.spawn([process], build_told)[0] for process in placement.of("worker")]
-    curator = backend.spawn(placement.of("curator"), build_told)[0]
+    workers = [backend.spawn([process], build_facts)[0] for process in placement.of("worker")]
+    curator = backend.spawn(placement.of("curator"), build_facts)[0]
     first = _devices(workers, backend)
     assert len(set(first)) == 2 and set(first) < {"0", "1", "2"}
     assert _devices([curator], backend) == first[:1]
     backend.kill(workers)
-    again = [backend.spawn([process], build_told)[0] for process in reversed(placement.of("worker"))][::-1]
+    again = [backend.spawn([process], build_facts)[0] for process in reversed(placement.of("worker"))][::-1]
     assert _devices(again, backend) == first
     backend.kill([*again, curator])
 
@@ -120,7 +120,7 @@ def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
         pytest.skip("there is a GPU here")
     (process, _) = plan_placement(without_evaluator(recipe("sfl_s")), num_gpus=1).processes
     with pytest.raises(ProcessFailedError, match=r"^worker 0 failed: the NVIDIA driver"):
-        backend.spawn([dataclasses.replace(process, gpu=None, gpu_share=0.0)], build_told)
+        backend.spawn([dataclasses.replace(process, gpu=None, gpu_share=0.0)], build_facts)
 
 
 def test_learners_and_actors_are_started_at_the_same_time(backend, tmp_path):
@@ -150,7 +150,7 @@ def test_a_port_that_is_taken_after_it_was_found_free_is_a_loss_and_not_the_end(
 
     monkeypatch.setattr(backend, "_all", ask_and_take)
     with pytest.raises(WorkerLostError, match=r"worker 0 (found the port of its group taken|died)"):
-        backend.spawn(plans, build_told)
+        backend.spawn(plans, build_facts)
     assert len(taken) == 1
     taken[0].close()
 
@@ -272,7 +272,7 @@ def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_li
 def test_settings_of_the_network_reach_processes_and_others_do_not(backend, monkeypatch):
     monkeypatch.setenv("NCCL_SOCKET_IFNAME", "eth7")
     monkeypatch.setenv("SOMETHING_ELSE", "here")
-    handle = backend.spawn([ProcessPlan(role="curator", index=0, env_vars=ON_CPU)], build_told)[0]
+    handle = backend.spawn([ProcessPlan(role="curator", index=0, env_vars=ON_CPU)], build_facts)[0]
     calls = [handle.call("environment", name) for name in ("NCCL_SOCKET_IFNAME", "SOMETHING_ELSE")]
     assert backend.gather(calls) == ["eth7", None]
     backend.kill([handle])
@@ -328,7 +328,7 @@ def test_a_process_says_that_it_compiles_and_nothing_else_is_taken_for_that():
     assert of_thread(lambda: traced(1.0)) == 0.0
 
 
-def test_a_process_that_dies_while_nothing_is_asked_of_it_is_noticed_where_others_are_waited_for(backend, tmp_path):
+def test_an_idle_process_that_dies_is_noticed_where_others_are_waited_for(backend, tmp_path):
     plans = [ProcessPlan(role="rollout", index=index, env_vars=ON_CPU) for index in range(2)]
     idle, well = backend.spawn(plans, build_compiler, str(tmp_path))
     backend.check([idle])

@@ -188,7 +188,7 @@ def test_a_killed_rollout_actor_is_replaced_and_its_steps_are_counted_as_dropped
 
 # Parts of a user: an observation and a curriculum that the system does not know
 
-PLUGINS = ("tests.runtime.fake_observation", "tests.runtime.fake_curriculum")
+PLUGINS = ("examples.own_observation", "examples.own_curriculum")
 
 
 def _config_of_a_user(*, num_updates, **run):

@@ -90,7 +90,7 @@ def test_other_devices_and_versions_are_said_in_one_line(copy, capsys):
     assert len(_events(copy, "resumed")[-1]["differs"]) == 3
 
 
-def test_a_save_goes_on_beside_training_and_its_failure_is_heard_at_the_next_update(tmp_path):
+def test_a_save_runs_in_the_background_and_its_failure_is_reported_at_the_next_update(tmp_path):
     """The directory cannot be written: a file is in its place. Real writes, no time limit that could be missed."""
     run = RunDirectory.create(tmp_path / "run", numbered=False)
     reporter = NotingReporter()

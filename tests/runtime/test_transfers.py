@@ -77,7 +77,7 @@ def test_the_slowest_actor_is_named_with_what_it_lags_behind_the_others():
     assert straggler_metrics(headers[:1]) == {}
 
 
-def _told_of(batches, *, steps=(64, 64, 64), replaced_before=None):
+def _noted_events(batches, *, steps=(64, 64, 64), replaced_before=None):
     """(process, update) of events. batches: seconds of each actor, of one batch after another."""
     noted = []
     stragglers = Stragglers(lambda kind, **details: noted.append((check_event(kind), details)))
@@ -92,21 +92,21 @@ def _told_of(batches, *, steps=(64, 64, 64), replaced_before=None):
 EVEN, SLOW = (1.0, 1.0, 1.2), (1.0, 2.5, 1.2)  # s of three actors; the median of the others is 1.1 s
 
 
-def test_an_actor_that_is_slow_in_batch_after_batch_is_told_of_once():
+def test_an_actor_that_is_slow_in_batch_after_batch_is_reported_once():
     in_a_row = UPDATES_IN_A_ROW
-    assert _told_of([SLOW] * (in_a_row - 1) + [EVEN] + [SLOW] * (in_a_row - 1)) == []  # busy moments
-    assert _told_of([EVEN] + [SLOW] * 3 * in_a_row) == [("rollout 1", in_a_row + 1)]
+    assert _noted_events([SLOW] * (in_a_row - 1) + [EVEN] + [SLOW] * (in_a_row - 1)) == []  # busy moments
+    assert _noted_events([EVEN] + [SLOW] * 3 * in_a_row) == [("rollout 1", in_a_row + 1)]
     # It is well in some batches only: known already. Then in as many as it took, and slow again: news.
-    assert len(_told_of(([SLOW] * in_a_row + [EVEN]) * 3)) == 1
-    assert len(_told_of([SLOW] * in_a_row + [EVEN] * in_a_row + [SLOW] * in_a_row)) == 2
-    assert len(_told_of([SLOW] * 2 * in_a_row, replaced_before=in_a_row + 1)) == 2  # as slow where it is now
-    assert _told_of([SLOW] * (2 * in_a_row - 2), replaced_before=in_a_row) == []
+    assert len(_noted_events(([SLOW] * in_a_row + [EVEN]) * 3)) == 1
+    assert len(_noted_events([SLOW] * in_a_row + [EVEN] * in_a_row + [SLOW] * in_a_row)) == 2
+    assert len(_noted_events([SLOW] * 2 * in_a_row, replaced_before=in_a_row + 1)) == 2  # as slow where it is now
+    assert _noted_events([SLOW] * (2 * in_a_row - 2), replaced_before=in_a_row) == []
 
 
 def test_every_straggler_is_named_and_who_has_more_to_do_is_none():
     batches = [(1.0, 1.0, 1.1, 5.0, 3.0)] * UPDATES_IN_A_ROW
     named = [("rollout 3", UPDATES_IN_A_ROW), ("rollout 4", UPDATES_IN_A_ROW)]
-    assert _told_of(batches, steps=(64,) * 5) == named
-    assert _told_of([SLOW] * UPDATES_IN_A_ROW, steps=(64, 128, 64)) == []
-    assert _told_of([(1.0, 0.9, 1.0)] * UPDATES_IN_A_ROW, steps=(64, 16, 64)) == []  # less to do, in as much time
-    assert _told_of([(1.0,)] * 9, steps=(64,)) == []  # there are no others
+    assert _noted_events(batches, steps=(64,) * 5) == named
+    assert _noted_events([SLOW] * UPDATES_IN_A_ROW, steps=(64, 128, 64)) == []
+    assert _noted_events([(1.0, 0.9, 1.0)] * UPDATES_IN_A_ROW, steps=(64, 16, 64)) == []  # less to do, in as much time
+    assert _noted_events([(1.0,)] * 9, steps=(64,)) == []  # there are no others

@@ -19,7 +19,7 @@ from kinetix_dist.sweep.slots import cpu_slots, free_gpus
 from tests.helpers import REPOSITORY
 from tests.sweep.designs import ARMS, FACTORIAL, HALVING, design, halving_text, text, write
 
-EXAMPLES = sorted((REPOSITORY / "docs" / "examples").glob("sweep_*.toml"))
+EXAMPLES = sorted((REPOSITORY / "examples" / "sweeps").glob("*.toml"))
 
 
 @pytest.fixture(autouse=True)

@@ -110,5 +110,5 @@ def _initial_params(config: TrainConfig, env: Environment, policy: Any) -> Any:
 
 
 def _shapes_of_state(config: TrainConfig, env: Environment, policy: Any) -> LearnerState:
-    """Of `initial_state`."""
+    """Shapes of `initial_state`."""
     return jax.eval_shape(lambda: initial_state(config, env, policy))

@@ -21,7 +21,7 @@ from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.division import Division
 from kinetix_dist.models.policy import NETWORKS, make_policy
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
-from kinetix_dist.runtime.cores.rollout_core import RolloutCore, rollout_core
+from kinetix_dist.runtime.cores.rollout_core import Players, RolloutCore, rollout_core
 
 
 def make_environment(config: TrainConfig) -> Environment:
@@ -93,9 +93,7 @@ class Playing:
             (config.env, config.curriculum, config.rollout),
             lambda: rollout_core(
                 config,
-                self.environment(config),
-                self.policy,
-                self.curriculum(config),
+                Players(self.environment(config), self.policy, self.curriculum(config)),
                 self._mesh,
                 groups=self._groups,
                 division=self._division,

@@ -45,6 +45,14 @@ class Batch(NamedTuple):
     last_value: Any
 
 
+class Players(NamedTuple):
+    """Objects that play an update, of one configuration."""
+
+    env: Environment
+    policy: Any
+    curriculum: Curriculum
+
+
 class RolloutCore:
     """Plays the worlds of `groups` of every update.
 
@@ -55,21 +63,20 @@ class RolloutCore:
     def __init__(
         self,
         config: TrainConfig,
-        env: Environment,
-        policy: Any,
-        curriculum: Curriculum,
+        players: Players,
         mesh: Mesh,
         *,
         groups: range,
         division: Division | None = None,
         key: ProgramKey | None = None,
     ) -> None:
+        env, policy, curriculum = players
         self.division = division or Division(len(groups), mesh.devices.size)
         self._config = config
         self._env = env
         self._policy = policy
         self._curriculum = curriculum
-        self._num_counted = len(curriculum.sources) + curriculum.num_places  # see `Proposal.source`
+        self._num_counted = len(curriculum.sources) + curriculum.num_slots  # see `Proposal.source`
         self._first_group = groups.start
         self._groups_per_part = len(groups) // self.division.num_parts
         # Here: a program that is read prepares no levels.
@@ -159,20 +166,19 @@ class RolloutCore:
 
 def rollout_core(
     config: TrainConfig,
-    env: Environment,
-    policy: Any,
-    curriculum: Curriculum,
+    players: Players,
     mesh: Mesh,
     *,
     groups: range,
     division: Division | None = None,
 ) -> RolloutCore:
-    """A `RolloutCore`, the same for runs of equal settings and the same parts: it holds no state but its program.
+    """A `RolloutCore`, the same for runs of equal settings and the same players: it holds no state but its program.
 
-    env, policy, curriculum: those of the configuration. Code from outside of this project may change, and so may levels
+    players: of the configuration. Code from outside of this project may change, and so may levels
     that a curriculum is given: then the program is traced in every process.
     """
     settings = settings_of_programs(config)
+    env, policy, curriculum = players
     parts = env.observation, env.action_space, env.action_distribution, policy, type(curriculum)
     key = None
     if is_cacheable(*parts) and not config.run.plugins and not config.curriculum.levels:
@@ -184,7 +190,7 @@ def rollout_core(
             at_trace=traced_for,
             custom_calls=CUSTOM_CALLS,
         )
-    return _cached(settings, env, policy, curriculum, mesh, groups=groups, division=division, key=key)
+    return _cached(settings, players, mesh, groups=groups, division=division, key=key)
 
 
 _cached = functools.lru_cache(maxsize=MAX_CACHED)(RolloutCore)

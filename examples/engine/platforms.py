@@ -1,6 +1,6 @@
 """A belt brings boxes to a lift, and the lift brings them to a platform that drives away.
 
-    python docs/examples/platforms.py --to platforms.png
+    python examples/engine/platforms.py --to platforms.png
 
 The belt and the lift's floor have a surface speed; lift and platform are kinematic: they move with the velocity of the
 state, which is set between steps here, and nothing pushes them.

@@ -1,6 +1,6 @@
 """A scene of one's own in 10,000 variations: how far does a falling box throw a ball with a lever?
 
-    python docs/examples/catapult.py --to catapult.png
+    python examples/engine/catapult.py --to catapult.png
 
 One world is built by hand; the batch varies where the box falls from and where it hits the lever. All variations are
 simulated in one call, and two pictures are drawn: the distance over the two parameters, and the best throw.

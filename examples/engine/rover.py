@@ -1,6 +1,6 @@
 """A rover with two driven wheels on hilly terrain, and what its lidar sees.
 
-    python docs/examples/rover.py --to docs/images/rover.png
+    python examples/engine/rover.py --to docs/images/rover.png
 
 Terrain from a line of points, wheels on motors, a policy that drives until 6 m, rays cast from a mast, contact report.
 """
