@@ -66,7 +66,7 @@ dnn_version_info { major: 9 minor: 10 patch: 0 }
 PARTS: dict[str, Callable[[str, str], bool]] = {
     "gates": lambda file, function: file == "gate.py" or function.endswith("._gate"),
     "attention": lambda file, function: (
-        file == "attention.py" or function.endswith(("._attention", "_beside_attention"))
+        file == "attention.py" or function.endswith(("._attention", "_attention_branch"))
     ),
     "feed forward": lambda file, function: function.endswith("._feed_forward"),
     "messages": lambda file, function: (

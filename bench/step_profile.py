@@ -68,9 +68,9 @@ def kernel_microseconds(trace: Path) -> collections.Counter[str]:
 
 def source_of(launch: Launch) -> str:
     """The innermost function of the project that a launch comes from, or else its scopes. Kernels of Pallas have no
-    frames of their own (models/kernels/one_place.py): the jitted function that they are in."""
+    frames of their own (models/kernels/stable_programs.py): the jitted function that they are in."""
     for file, function in launch.stack:
-        if Path(file).name == "one_place.py":
+        if Path(file).name == "stable_programs.py":
             return next(found[1] for scope in launch.scopes if (found := re.search(r"jit\((\w+)\)", scope)))
         if "kinetix_dist/" in file or "jax2d/" in file:
             return f"{Path(file).name}:{function}"

@@ -1,7 +1,7 @@
-"""What a person did wrong: one line that says what and what to do, raised from anywhere above the library code.
+"""Mistakes of a user: one line with the mistake and the remedy, raised from anywhere above the library code.
 
-Library code raises its own errors (ValueError and its subclasses, OSError). Whoever calls it on behalf of a person
-turns those that it expects into a `UserError`. Anything else is a bug and keeps its traceback.
+Library code raises its own errors (ValueError and its subclasses, OSError). Code that calls it for a user
+turns the errors that it expects into a `UserError`. Any other error is a bug and keeps its traceback.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 
 class UserError(Exception):
-    """What was wrong and what to do about it, in one line."""
+    """Mistake of a user and its remedy, in one line."""
 
 
 def one_line(error: BaseException | str) -> str:

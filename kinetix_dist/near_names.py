@@ -1,4 +1,4 @@
-"""Names that are nearly right: what says "did you mean" in this package."""
+"""Suggestions for misspelt names: "did you mean ..."."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterable
 
 
-def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:
-    """ "did you mean 'hop_home'?" where a known name is near, else the text `otherwise`, which says what there is."""
+def did_you_mean(name: str, known: Iterable[str], or_else: str) -> str:
+    """ "did you mean 'hop_home'?" where a known name is near, else the text `or_else`, which lists the names."""
     near = difflib.get_close_matches(name, list(known), n=1)
-    return f"did you mean {near[0]!r}?" if near else otherwise
+    return f"did you mean {near[0]!r}?" if near else or_else

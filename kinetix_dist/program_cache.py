@@ -38,6 +38,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.installation import ENGINE
+from kinetix_dist.user_directories import cache_directory
 
 if TYPE_CHECKING:
     import jax  # imported where it is used: commands that only name the directory run without it
@@ -84,7 +85,7 @@ def directory_of(setting: str) -> Path:
 
 def default_directory() -> Path:
     """Directory of the cache where neither a setting nor the environment names one."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "kinetix-dist" / "jax"
+    return cache_directory() / "jax"
 
 
 def _let_every_rank_write() -> None:

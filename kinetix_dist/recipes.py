@@ -158,14 +158,14 @@ _CURRICULA = {
 
 
 def _paper(curriculum: str, size: str) -> TrainConfig:
-    """Hyperparameters of the paper, activations in bfloat16; ends after 1 B environment steps unless told otherwise."""
+    """Hyperparameters of the paper, activations in bfloat16; ends after 1 B environment steps unless overridden."""
     return TrainConfig(
         env=EnvConfig(size=size),
         policy=PolicyConfig(dtype="bfloat16", kernels="auto"),
         # These learn from half of the worlds: as many samples in a minibatch.
         ppo=PpoConfig(minibatches=16) if curriculum in ("robust_plr", "accel", "paired") else PpoConfig(),
         curriculum=_CURRICULA[curriculum],
-        # By a process beside training, every few minutes: docs/training.md says what is known of the cost.
+        # In the background, every few minutes: docs/training.md says what that costs.
         evaluation=EvaluationConfig(sets=(f"random_{size}", f"designed_{size}"), every=100),
         recording=RecordingConfig(every=500),
         run=RunConfig(name=f"{curriculum}_{size}", total_env_steps=1_000_000_000, device="gpu", checkpoint_every=100),
@@ -212,7 +212,7 @@ def _pretrain(size: str) -> TrainConfig:
         curriculum_log=CurriculumLogConfig(probe_every=8),
         evaluation=dataclasses.replace(paper.evaluation, every=25),
         recording=RecordingConfig(every=200),
-        # Two processes on a GPU take turns: scoring beside training costs more than it takes alone (docs/operating.md).
+        # Two processes on a GPU take turns: scoring in the background costs more than alone (docs/operating.md).
         run=dataclasses.replace(
             paper.run,
             name=f"pretrain_{size}",

@@ -1,5 +1,5 @@
 """Names for interchangeable parts: observations, action spaces, networks, curricula. Built-in ones are registered
-beside their definition, those of a user by a module that `run.plugins` names (docs/extending.md)."""
+in the file that defines them, those of a user by a module that `run.plugins` names (docs/extending.md)."""
 
 from __future__ import annotations
 

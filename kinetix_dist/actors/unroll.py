@@ -23,7 +23,7 @@ from kinetix_dist.actors.outcomes import add_step, no_outcomes
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
 from kinetix_dist.messages import LevelOutcome, Trajectory
-from kinetix_dist.models.gru import act, forget, initial_memory
+from kinetix_dist.models.gru import act, initial_memory, reset_memory
 
 
 class Worlds(NamedTuple):
@@ -86,7 +86,7 @@ def unroll(
             done_after=done,
             timed_out=info.timed_out if keep_timeouts else None,
         )
-        return (env_state, next_obs, forget(memory, done), add_step(outcome, done, info)), taken
+        return (env_state, next_obs, reset_memory(memory, done), add_step(outcome, done, info)), taken
 
     carry = (worlds.env_state, worlds.obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
     (env_state, obs, memory, outcome), trajectory = invariants.scan(
@@ -115,7 +115,7 @@ def score(
         outputs, _, memory = act(policy, params, env.observe(prepared, obs), memory)
         actions, _ = distribution.sample(outputs, _uniforms(world_keys, number, distribution.num_uniforms))
         env_state, obs, _, done, info = env.step(prepared, env_state, actions)
-        return (env_state, obs, forget(memory, done), add_step(outcome, done, info)), None
+        return (env_state, obs, reset_memory(memory, done), add_step(outcome, done, info)), None
 
     carry = (env_state, obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
     (_, _, _, outcome), _ = invariants.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))

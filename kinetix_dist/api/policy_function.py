@@ -21,7 +21,7 @@ from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.policies import NetworkPolicy, act
 from kinetix_dist.level.walls import empty_level
-from kinetix_dist.models.gru import forget, initial_memory
+from kinetix_dist.models.gru import initial_memory, reset_memory
 from kinetix_dist.trained_policy import checkpoint_at, newest_checkpoint_of
 
 
@@ -60,7 +60,7 @@ class PolicyFunction:
 
     def reset_memory(self, memory: Array | None, done: Array) -> Array | None:
         """Memory after a step: zeros in worlds whose episode ended, where `done` [W]."""
-        return forget(memory, done)
+        return reset_memory(memory, done)
 
 
 @jax.jit  # compiled also where a caller is not

@@ -245,7 +245,7 @@ def _stored_actions(args: Solve, task: ProofTask, env: Environment) -> np.ndarra
 
 
 def _search(args: Solve, tasks: list[ProofTask]) -> int:
-    from kinetix_dist.evaluation.search.solve import solve
+    from kinetix_dist.evaluation.search.solve import Target, solve
     from kinetix_dist.level.proof import write_proof
 
     good = (
@@ -266,15 +266,18 @@ def _search(args: Solve, tasks: list[ProofTask]) -> int:
                     raise UserError(f"{task.proof_file.parent} cannot be written to; give --proofs another directory")
             begin = time.monotonic()
             with user_errors(ValueError, prefix=f"{task.name}: "):
-                solved = solve(
-                    env,
-                    task.level,
-                    task.document,
+                target = Target(
                     name=task.name,
-                    seconds=args.seconds,
-                    methods=None if args.method is None else [args.method],
+                    level=task.level,
+                    document=task.document,
                     player=_player(args, env, task.level),
                     stored=_stored_actions(args, task, env),
+                )
+                solved = solve(
+                    env,
+                    target,
+                    seconds=args.seconds,
+                    methods=None if args.method is None else [args.method],
                     num_worlds=args.worlds,
                     seed=args.seed,
                 )

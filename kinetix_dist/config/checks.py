@@ -61,7 +61,7 @@ def check_network(env: EnvConfig, policy: PolicyConfig) -> None:
 def check_episode_lengths(
     rollout: RolloutConfig, env: EnvConfig, curriculum: CurriculumConfig, kind: type[Curriculum]
 ) -> None:
-    """As many episodes end in an update, and while candidates are scored, as the curriculum needs."""
+    """Enough episodes end in an update, and while candidates are scored, for the curriculum."""
     num_episodes = kind.num_episodes(curriculum)
     if rollout.num_steps < num_episodes * env.max_steps:
         needs = "the end of an episode" if num_episodes == 1 else f"the ends of {num_episodes} episodes"

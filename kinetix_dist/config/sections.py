@@ -17,7 +17,7 @@ LAST_SEED = (1 << 32) - 1  # JAX takes seeds modulo 2^32, without 64-bit numbers
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RolloutConfig:
-    """How much is played for one update."""
+    """Worlds and steps that are played for one update."""
 
     num_envs: int = setting(2048, minimum=1)  # worlds, over all devices
     num_steps: int = setting(256, minimum=1)  # environment steps of each world in an update
@@ -105,7 +105,7 @@ class LimitsConfig:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """How long, where and from which seed."""
+    """Length, place, processes and seed of a run."""
 
     name: str = "run"  # directory below runs/ when --run is not given
     seed: int = setting(0, minimum=0, maximum=LAST_SEED)

@@ -2,14 +2,14 @@
 
 Robust PLR of which part of the new levels are children of levels in the buffer: what the group plays of the buffer in
 this update, each after `accel.num_changes` random mutators. Children are scored as fresh levels are, by what training
-sees of them, and give no gradient; those that score higher than others in the buffer take their places. So levels grow
+sees of them, and give no gradient; those that score higher than others in the buffer take their slots. So levels grow
 from simple ones at the frontier of what the policy can do.
 
 Children are drawn as fresh levels are: twice as many as are played, those that solve themselves left out. While the
 buffer is empty they are children of fresh levels.
 
 Departures from the paper: parents are the levels that are drawn for replay, not the easiest of a batch; and fresh
-levels go on being drawn beside (there they only fill the buffer at first).
+levels are drawn throughout (in the paper they only fill the buffer at first).
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""What learns beside the policy of a run, as curricula see it: another student, a teacher. They learn by the PPO of the
+"""Agents that learn next to the policy of a run: another student, a teacher. They learn by the PPO of the
 run, on its devices; their states are part of the state of the curriculum.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, Protocol
 
 from jax2d.scene import Array
@@ -27,16 +28,29 @@ class Agent(Protocol):
         """
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AgentPpo:
+    """Settings of PPO in which an agent differs from the run, as in `PpoConfig`."""
+
+    learning_rate: float
+    epochs: int
+    clip: float
+    entropy_coefficient: float
+    minibatches: int
+    discount: float
+    trace: float
+    value_clip: bool
+
+
 class Agents(Protocol):
-    """What they are made from."""
+    """Factory of agents, with the settings of the run."""
 
     def student(self) -> Agent:
         """One with the network, the observation and the PPO settings of the run's policy, and parameters of its own."""
 
-    def teacher(self, policy: Any, distribution: Any, obs: Any, **ppo: Any) -> Agent:
-        """One that acts in no environment. policy: a flax module; distribution: an `ActionDistribution`; obs: shapes of
-        what the policy takes, [1, ...], and what trajectories keep in `dynamic_obs`; ppo: settings that are not those
-        of the run."""
+    def teacher(self, policy: Any, distribution: Any, obs: Any, ppo: AgentPpo) -> Agent:
+        """Agent that acts in no environment. policy: a flax module; distribution: an `ActionDistribution`; obs: shapes
+        of the policy's input, [1, ...], which trajectories store in `dynamic_obs`."""
 
     def static_input(self, levels: Level) -> StaticInput:
-        """What levels [W, ...] fix of what a student learns from."""
+        """Static part of a student's input on levels [W, ...]."""

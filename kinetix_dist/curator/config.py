@@ -9,16 +9,16 @@ from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.size_mixture import check_weights
 from kinetix_dist.setting import ConfigError, check_settings, setting
 
-# Of `CurriculumConfig`, read by curricula alone that name them in `Curriculum.sections`.
+# Sections of `CurriculumConfig` that only those curricula read that name them in `Curriculum.sections`.
 OWN_SECTIONS = ("plr", "accel", "paired", "slices")
 PRIORITISATIONS = ("rank", "top_k")
 ANTAGONIST_RETURNS = ("mean", "max")
-MAX_ATTEMPTS = 1 << 16  # of a candidate: a quarter of its square is an int32, see `halving.py`
+MAX_ATTEMPTS = 1 << 16  # per candidate: a quarter of its square is an int32, see `halving.py`
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlrConfig:
-    """Which levels of its buffer Prioritized Level Replay plays again (Jiang et al. 2021, section 3).
+    """Choice of levels that Prioritized Level Replay plays again (Jiang et al. 2021, section 3).
 
     Defaults are those of the paper on Kinetix. There an update draws thousands of levels: with a temperature of 0.3, as
     of Jiang et al. for a few at a time, 87 % of those drawn by score would be one level.
@@ -36,7 +36,7 @@ class PlrConfig:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AccelConfig:
-    """Which new levels are children of levels in the buffer, and how far from them (Parker-Holder et al. 2022)."""
+    """Share of new levels that are children of levels in the buffer, and their distance (Parker-Holder et al. 2022)."""
 
     edited_share: float = 0.5  # of the worlds that play new levels; the others, one a group or more, play fresh ones
     num_changes: int = setting(3, minimum=1)  # random mutators from a level to its child
@@ -52,7 +52,7 @@ class AccelConfig:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PairedConfig:
-    """How the teacher of PAIRED learns (Dennis et al. 2020); what is not here is as in `ppo`."""
+    """Learning of the teacher of PAIRED (Dennis et al. 2020); other settings are those of `ppo`."""
 
     antagonist_return: str = setting("mean", choices=ANTAGONIST_RETURNS)  # or "max": of its returns on a level
     hidden_size: int = setting(128, minimum=1)  # of the teacher's network
@@ -68,7 +68,7 @@ class PairedConfig:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SlicesConfig:
-    """How "sfl_slices" renews its buffer: `num_candidates` and `refresh_every` are of a slice there."""
+    """Renewal of the buffer of "sfl_slices": `num_candidates` and `refresh_every` are of a slice there."""
 
     slice_size: int = 256  # levels of the buffer that a refresh replaces
     num_harvested: int = 0  # candidates of a refresh, at most, that are fresh levels which training solved
@@ -102,17 +102,17 @@ class SlicesConfig:
                 "from 0 to 1"
             )
 
-    def kept(self, num_candidates: int) -> tuple[int, ...]:
-        """Candidates of a scoring batch that play each round, all of them first."""
-        kept = [num_candidates]
+    def num_in_rounds(self, num_candidates: int) -> tuple[int, ...]:
+        """Number of candidates of a scoring batch in each round, all of them first."""
+        numbers = [num_candidates]
         for one_of in self.keep_one_of:
-            kept.append(kept[-1] // one_of)
-        return tuple(kept)
+            numbers.append(numbers[-1] // one_of)
+        return tuple(numbers)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
-    """Defaults are those of the paper's SFL. Which fields matter depends on the curriculum."""
+    """Defaults are those of the paper's SFL. Each curriculum reads some of the fields."""
 
     name: str = "sfl"  # "sfl", "sfl_slices", "plr", "robust_plr", "accel", "paired", "domain_randomization" or "fixed"
     levels: str = ""  # for "fixed": the level set to train on, a name or a path
@@ -121,7 +121,7 @@ class CurriculumConfig:
     scoring_batch: int = setting(4096, minimum=1)  # candidates scored at once, bounds memory
     refresh_every: int = setting(128, minimum=1)  # T, updates between refreshes
     adopt_after: int = setting(4, minimum=1)  # updates from the request of a refresh to its adoption
-    buffer_size: int = setting(1024, minimum=1)  # K, levels kept
+    buffer_size: int = setting(1024, minimum=1)  # K, levels stored
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
     sizes: tuple[tuple[str, float], ...] = ()  # weights of sizes among levels drawn; (): all are of env.size
     plr: PlrConfig = dataclasses.field(default_factory=PlrConfig)
@@ -151,11 +151,11 @@ class CurriculumConfig:
 
     @property
     def num_batches(self) -> int:
-        """Of candidates, each scored at once."""
+        """Batches of candidates, each scored at once."""
         return self.num_candidates // self.scoring_batch
 
     def is_refresh_due(self, num_updates: int) -> bool:
-        """Whether a refresh is asked for at the start of this update, with the policy version of that number."""
+        """A refresh is requested at the start of this update, with the policy version of that number."""
         return num_updates % self.refresh_every == 0
 
     def next_refresh(self, num_updates: int) -> int:
@@ -163,5 +163,5 @@ class CurriculumConfig:
         return -(-num_updates // self.refresh_every) * self.refresh_every
 
     def adopted_at(self, requested_at: int) -> int:
-        """The update that first uses the refresh asked for at `requested_at`. The first one is used at once."""
+        """The update that first uses the refresh requested at `requested_at`. The first one is used at once."""
         return requested_at if requested_at == 0 else requested_at + self.adopt_after

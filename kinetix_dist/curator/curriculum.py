@@ -1,4 +1,4 @@
-"""What a curriculum is: it proposes the levels of an update, sees what became of them, and owns its state.
+"""Interface of a curriculum: it proposes the levels of an update, observes their outcomes, and owns its state.
 
     levels of update u   proposal = propose(state, keys of the world groups, numbers of the groups)     on every device
     who plays them       policy, params = players(policy, params, state)        that of the run, unless it says so
@@ -9,8 +9,8 @@
                          refreshed = join(refresh_part(..., part, num_parts) of each part)  if it `shares_refresh`
                          state = adopt(state, refreshed)
 
-`refresh` runs in a process of its own, the curator, beside training, or in those that train between two updates: it
-is asked for every `refresh_every` updates and its result adopted at an update that is fixed beforehand. Several
+`refresh` runs in the background in a process of its own, the curator, or in those that train, between two updates: it
+is requested every `refresh_every` updates and its result adopted at an update that is fixed beforehand. Several
 curators work out a part each where the curriculum can join them. The state is one pytree of arrays, the same on all
 devices; checkpoints hold it. All methods are pure, so that a lost process repeats what it did bit for bit.
 
@@ -42,18 +42,18 @@ from kinetix_dist.messages import LevelOutcome, Trajectory
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Proposal:
-    """Levels to play, one a world, and what the curriculum wants to know of each when it observes."""
+    """Levels to play, one a world, and what the curriculum needs of each when it observes."""
 
     levels: Level  # [W, ...]
     tags: Any = None  # any pytree, [W, ...] (or as many rows a group): where in the state a level comes from, say
-    # [W] int32, for the counts of outcomes.jsonl: an index into `Curriculum.sources`, or their number + a place in the
-    # buffer (`num_places`). None: all are of the first source.
+    # [W] int32, for the counts of outcomes.jsonl: an index into `Curriculum.sources`, or their number + a slot of the
+    # buffer (`num_slots`). None: all are of the first source.
     source: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CurriculumTools:
-    """What curricula are built from: the run's levels and ways to play them."""
+    """Parts that curricula are built from: levels of the run and ways to play them."""
 
     config: CurriculumConfig
     capacity: Capacity
@@ -63,7 +63,7 @@ class CurriculumTools:
     play: Callable[[Any, Level, Array, int], LevelOutcome]  # (params, levels, key, steps): episodes of the policy
     load_levels: Callable[[str], Level]  # of a level set or a path, in the run's size
     advantages: Callable[[Trajectory, Array], Array]  # (trajectory, last values) -> [T, W], the learner's
-    agents: Agents  # what learns beside the policy
+    agents: Agents  # that learn next to the policy
     devices: Sequence[Any] = dataclasses.field(default_factory=jax.local_devices)  # for `refresh`, of this process
 
     def draw_fresh(self, group_keys: Array, levels_per_group: int) -> Level:
@@ -88,7 +88,7 @@ class CurriculumTools:
 
 
 class Curriculum(abc.ABC):
-    """See the module docstring. Built in each process that proposes, observes or refreshes, once for equal settings."""
+    """Proposes, observes and refreshes levels. Built in each process that does so, once for equal settings."""
 
     observes: bool = False  # sees outcomes after each update
     refreshes: bool = False  # has a curator
@@ -128,14 +128,14 @@ class Curriculum(abc.ABC):
         return worlds_per_group if cls.draws_levels else 0
 
     @property
-    def num_places(self) -> int:
+    def num_slots(self) -> int:
         """Levels whose episodes are counted one by one, for outcomes.jsonl: those of a buffer."""
         return 0
 
     def init(self) -> Any:
         """The first state, also the shapes and types of later ones; None: it has none.
 
-        A curriculum that refreshes is never asked for levels of this state: its first refresh comes before.
+        `propose` is never called with this state where a curriculum refreshes: its first refresh comes before.
         """
         return None
 
@@ -149,7 +149,7 @@ class Curriculum(abc.ABC):
         """
 
     def players(self, policy: Any, params: Any, state: Any) -> tuple[Any, Any]:
-        """Who plays the worlds of an update: a policy and its parameters, by default those of the run.
+        """Policy, with its parameters, that plays the worlds of an update; by default that of the run.
 
         The policy has `apply(params, obs)` -> (outputs, values) for the worlds of one device, group by group; the run
         learns from the first `num_trained` of each group, where its own policy has to act. Inside jit and shard_map.
@@ -158,7 +158,7 @@ class Curriculum(abc.ABC):
         return policy, params
 
     def summarise(self, trajectory: Trajectory, last_value: Array) -> Any:
-        """What `observe` finds in `outcome.summary`: a pytree [W, ...] of what was played, by default nothing.
+        """Summary of the trajectory for `observe` (`outcome.summary`): a pytree [W, ...], by default nothing.
         Leaves may have fewer rows, as many for each group.
 
         trajectory [T, W, ...], last_value [W]: of the worlds of one device, on which it works, inside jit and
@@ -172,30 +172,30 @@ class Curriculum(abc.ABC):
         raise NotImplementedError
 
     def refresh_input(self, state: Any) -> Any:
-        """What a refresh asked for now works from: a pytree of arrays, as numpy, that shapes the same as that of
+        """Input of a refresh that is requested now: a pytree of arrays, as numpy, with the shapes of that of
         `init()`; None where state is None. Checkpoints hold it while the refresh is in flight."""
         raise NotImplementedError
 
     def refresh(self, params: Any, policy_version: int, key: Array, given: Any = None) -> Any:
-        """What the curator works out with the policy's parameters: a pytree for `adopt`. Not inside jit.
+        """Work of the curator with the policy's parameters: a pytree for `adopt`. Not inside jit.
 
-        given: of `refresh_input` when it was asked for; None without such."""
+        given: `refresh_input` at the request; None without one."""
         raise NotImplementedError
 
     def refresh_part(
         self, params: Any, policy_version: int, key: Array, part: int, num_parts: int, given: Any = None
     ) -> Any:
-        """What curator `part` of `num_parts` works out: a pytree for `join`. Not inside jit."""
+        """Work of curator `part` of `num_parts`: a pytree for `join`. Not inside jit."""
         del part, num_parts
         return self.refresh(params, policy_version, key, given)
 
     def join(self, parts: Sequence[Any]) -> Any:
-        """What `adopt` is given, of all parts in order, as numpy. It must not depend on how many these are."""
+        """Input of `adopt`, as numpy, from all parts in order. It must not depend on their number."""
         (refreshed,) = parts
         return refreshed
 
     def adopt(self, state: Any, refreshed: Any) -> Any:
-        """The next state; by default what was worked out replaces it. state: None at the first time."""
+        """The next state; by default the refreshed one replaces it. state: None at the first time."""
         del state
         return refreshed
 
@@ -205,7 +205,7 @@ class Curriculum(abc.ABC):
         del state, num_updates
         return {}
 
-    # What is written down for dashboards, see docs/run_data.md. None of it changes a number of training.
+    # Records for dashboards, see docs/run_data.md. None of it changes a number of training.
 
     @classmethod
     def refresh_log(cls, config: CurriculumConfig, parts: Sequence[Any]) -> dict[str, np.ndarray] | None:
@@ -225,7 +225,7 @@ class Curriculum(abc.ABC):
         return None
 
     def play_probe(self, params: Any, probe: Any, key: Array) -> dict[str, np.ndarray]:
-        """What became of them, by the names below "probe/" in a refresh_*.npz. Not inside jit."""
+        """Outcomes of the probe's levels, by the names below "probe/" in a refresh_*.npz. Not inside jit."""
         raise NotImplementedError
 
     def compile_refresh(self, params: Any) -> None:

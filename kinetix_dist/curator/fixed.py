@@ -29,7 +29,7 @@ class Fixed(Curriculum):
         self._levels = tools.load_levels(tools.config.levels)
 
     @property
-    def num_places(self) -> int:
+    def num_slots(self) -> int:
         """Levels of the set."""
         return int(self._levels.position.shape[0])
 

@@ -64,7 +64,7 @@ def _draw(group_keys: Array, number: int, size: Capacity, generator: GeneratorCo
 
 
 def _keep_by_size(levels: Level, is_trivial: Array, counts: Sequence[int]) -> Level:
-    """Of the levels of a group, drawn size by size: as many of each as in `counts`."""
+    """Levels of a group, drawn size by size: as many of each as in `counts`."""
 
     def keep(start: int, number: int) -> Level:
         drawn = slice(start, start + OVERSAMPLING * number)

@@ -28,36 +28,36 @@ Play = Callable[[Array, Array], Array]
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Attempts:
-    """What became of n candidates."""
+    """Outcomes of n candidates."""
 
     num_solved: Array  # [n] int32
     num_attempts: Array  # [n] int32
-    kept: Array  # [m] int32, those that played the last round
+    finalists: Array  # [m] int32, those that played the last round
 
 
 @dataclasses.dataclass(frozen=True)
 class Halving:
     """Rounds for `num_candidates` candidates in launches of as many worlds.
 
-    attempts: after each round, rising. kept: candidates that play each round, the first of them all."""
+    attempts: after each round, rising. num_in_rounds: candidates that play each round, in the first all."""
 
     num_candidates: int
     attempts: Sequence[int]
-    kept: Sequence[int]
+    num_in_rounds: Sequence[int]
 
     def __call__(self, play: Play, key: Array, *, num_solved: int = 0, num_known: int = 0) -> Attempts:
         """num_solved of num_known: attempts that all candidates had before. Consumes the key."""
         solved = jnp.full(self.num_candidates, num_solved, jnp.int32)
         attempts = jnp.full(self.num_candidates, num_known, jnp.int32)
         chosen, before = jnp.arange(self.num_candidates, dtype=jnp.int32), num_known
-        for number, (total, num_kept) in enumerate(zip(self.attempts, self.kept, strict=True)):
+        for number, (total, num_kept) in enumerate(zip(self.attempts, self.num_in_rounds, strict=True)):
             if number:
                 chosen = _best(solved, chosen, num_kept, before)
             launches = self._launches(play, prng.fold_in(key, number), chosen, total - before)
             if launches:
                 solved, attempts = _counted(solved, attempts, chosen, launches, total - before)
             before = total
-        return Attempts(num_solved=solved, num_attempts=attempts, kept=chosen)
+        return Attempts(num_solved=solved, num_attempts=attempts, finalists=chosen)
 
     def _launches(self, play: Play, key: Array, chosen: Array, num_attempts: int) -> list[Array]:
         """World after world, `num_attempts` of the first candidate, then of the second and so on."""
@@ -68,15 +68,15 @@ class Halving:
         ]
 
 
-def num_launches(attempts: Sequence[int], kept: Sequence[int]) -> int:
-    """Of `kept[0]` worlds, for one batch of candidates of which nothing is known."""
-    each = zip([0, *attempts], attempts, kept, strict=False)
-    return sum(-(-num_kept * (after - before) // kept[0]) for before, after, num_kept in each)
+def num_launches(attempts: Sequence[int], num_in_rounds: Sequence[int]) -> int:
+    """Number of launches of `num_in_rounds[0]` worlds for one batch of candidates."""
+    each = zip([0, *attempts], attempts, num_in_rounds, strict=False)
+    return sum(-(-num_kept * (after - before) // num_in_rounds[0]) for before, after, num_kept in each)
 
 
 @functools.partial(jax.jit, static_argnums=(2, 3))
 def _best(solved: Array, chosen: Array, num_kept: int, attempts: int) -> Array:
-    """Of candidates `chosen` with as many attempts each, those of highest learnability."""
+    """Candidates of highest learnability among `chosen`, which have as many attempts each."""
     chosen = jnp.sort(chosen)
     solved = solved[chosen]
     # Below 2^31 for `MAX_ATTEMPTS`.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -36,7 +36,7 @@ class LevelBuffer:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Scored:
-    """What one process scored of the candidates of a refresh: the counts of all, the levels of those it would keep."""
+    """Candidates of a refresh that one process scored: counts of all, levels of the best."""
 
     candidate: Array  # [n] int32, number of each among the candidates of the refresh
     num_solved: Array  # [n] int32
@@ -47,27 +47,36 @@ class Scored:
     policy_version: Array  # [] int32, that scored them
 
 
+class Candidates(NamedTuple):
+    """Candidates that were played, as numpy."""
+
+    number: np.ndarray  # [n] among the candidates of the refresh
+    num_solved: np.ndarray  # [n]
+    num_finished: np.ndarray  # [n]
+    features: np.ndarray  # [n, F] uint8
+
+
 def scored(
+    candidates: Candidates,
     pick: Callable[[np.ndarray], Level],
-    candidate: np.ndarray,
-    num_solved: np.ndarray,
-    num_finished: np.ndarray,
     *,
-    features: np.ndarray,
     size: int,
     policy_version: int,
     min_finished: int = 0,
 ) -> Scored:
-    """Of n candidates, for a buffer of `size`. pick: the levels of some of them, by their places in `candidate`.
-    min_finished: episodes that a candidate needs to be kept."""
-    places = _best_first(candidate, num_solved, num_finished, min_finished)[:size]
+    """Counts and best levels of candidates, for a buffer of `size`. pick: levels of some, by index.
+
+    min_finished: episodes that a candidate needs to be one of the best.
+    """
+    number, num_solved, num_finished, features = candidates
+    index = _best_first(number, num_solved, num_finished, min_finished)[:size]
     return Scored(
-        candidate=np.asarray(candidate, np.int32),
+        candidate=np.asarray(number, np.int32),
         num_solved=np.asarray(num_solved, np.int32),
         num_finished=np.asarray(num_finished, np.int32),
         features=features,
-        best=np.asarray(candidate, np.int32)[places],
-        levels=jax.device_get(pick(places)),
+        best=np.asarray(number, np.int32)[index],
+        levels=jax.device_get(pick(index)),
         policy_version=np.int32(policy_version),
     )
 
@@ -89,10 +98,10 @@ def keep_best(parts: Sequence[Scored], size: int, min_finished: int = 0) -> Leve
     candidate, num_solved, num_finished = candidate[order], num_solved[order], num_finished[order]
     score = learnability(num_solved.astype(np.float32), num_finished.astype(np.float32))
     kept = _best_first(candidate, num_solved, num_finished, min_finished)[:size]
-    place_of = {number: place for place, number in enumerate(best.tolist())}  # among the levels that were sent
-    places = [place_of[number] for number in candidate[kept].tolist()]
+    slot_of = {number: slot for slot, number in enumerate(best.tolist())}  # among the levels that were sent
+    slots = [slot_of[number] for number in candidate[kept].tolist()]
     return LevelBuffer(
-        levels=jax.tree.map(lambda *xs: np.concatenate(xs)[places], *(part.levels for part in parts)),
+        levels=jax.tree.map(lambda *xs: np.concatenate(xs)[slots], *(part.levels for part in parts)),
         candidate=candidate[kept],
         score=score[kept],
         num_solved=num_solved[kept],

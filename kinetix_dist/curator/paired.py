@@ -62,7 +62,7 @@ class PairedState:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PairedSummary:
-    """What `observe` needs of a trajectory."""
+    """Summary of a trajectory for `observe`."""
 
     max_return: Array  # [W] float32, of an episode that ended
     trajectory: Trajectory  # [W / 2, T, ...], the antagonist's

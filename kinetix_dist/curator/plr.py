@@ -3,7 +3,7 @@
     propose   of each group, `buffer_share` of the worlds play levels of the buffer, drawn by `replay_chances`, the
               others fresh ones
     summarise values, advantages and returns of what was played, for scores
-    observe   the score of what was played: levels of the buffer get a new one, new levels take places of others
+    observe   the score of what was played: levels of the buffer get a new one, new levels take slots of others
 
 Departures from the paper, which plays one level at a time: an update plays `buffer_share` of its levels from the
 buffer, where the paper decides by chance for each; age counts updates, not episodes; and replay begins when the buffer
@@ -44,7 +44,7 @@ from kinetix_dist.messages import LevelOutcome, Trajectory
 
 
 class Plr(Curriculum):
-    """Its state is the `ReplayBuffer`. Tags: place in the buffer, `born` of the level there, whether it is new."""
+    """Its state is the `ReplayBuffer`. Tags: slot in the buffer, `born` of the level there, whether it is new."""
 
     observes = True
     sections = ("plr",)
@@ -77,20 +77,20 @@ class Plr(Curriculum):
         fresh = by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups)
 
         log_chances, shape = jnp.log(replay_chances(state, self.tools.config.plr)), (num_replayed,)
-        place = jax.vmap(lambda key: prng.categorical(key, log_chances, shape=shape))(split[:, 0])
+        slot = jax.vmap(lambda key: prng.categorical(key, log_chances, shape=shape))(split[:, 0])
         is_empty = ~state.is_filled.any()
         repeated = jnp.arange(num_replayed) % num_fresh
         replayed = jax.tree.map(
-            lambda buffered, new: jnp.where(is_empty, new[:, repeated], buffered[place]), state.levels, fresh
+            lambda buffered, new: jnp.where(is_empty, new[:, repeated], buffered[slot]), state.levels, fresh
         )
         new = self.new_levels(group_keys, replayed, fresh)
-        no_place = jnp.zeros((num_groups, size - num_replayed), jnp.int32)
+        no_slot = jnp.zeros((num_groups, size - num_replayed), jnp.int32)
         tags = (
-            {"place": place.astype(jnp.int32), "born": state.born[place], "is_new": jnp.zeros(place.shape, bool)},
-            {"place": no_place, "born": no_place + NEVER, "is_new": jnp.ones(no_place.shape, bool)},
+            {"slot": slot.astype(jnp.int32), "born": state.born[slot], "is_new": jnp.zeros(slot.shape, bool)},
+            {"slot": no_slot, "born": no_slot + NEVER, "is_new": jnp.ones(no_slot.shape, bool)},
         )
         replayed_from = jnp.where(is_empty, self.sources.index("fresh"), self.sources.index("replayed"))
-        sources = jnp.broadcast_to(replayed_from, place.shape), self.new_sources(num_groups)
+        sources = jnp.broadcast_to(replayed_from, slot.shape), self.new_sources(num_groups)
         return Proposal(levels=join_by_group(replayed, new), tags=join_by_group(*tags), source=join_by_group(*sources))
 
     @classmethod
@@ -98,7 +98,7 @@ class Plr(Curriculum):
         return worlds_per_group - num_from_buffer(config, worlds_per_group)
 
     def new_levels(self, group_keys: Array, replayed: Level, fresh: Level) -> Level:
-        """What a group plays beside levels of the buffer, [groups, new, ...]. replayed, fresh: [groups, ...]."""
+        """New levels of a group, next to those of the buffer: [groups, new, ...]. replayed, fresh: [groups, ...]."""
         del group_keys, replayed
         return fresh
 
@@ -112,14 +112,14 @@ class Plr(Curriculum):
 
     def observe(self, state: ReplayBuffer, proposal: Proposal, outcome: LevelOutcome) -> ReplayBuffer:
         config, tags = self.tools.config.plr, proposal.tags
-        # In the split placement a level may have lost its place since it was proposed.
-        is_there = (tags["born"] != NEVER) & (tags["born"] == state.born[tags["place"]])
-        state, best_return = with_returns(state, tags["place"], outcome.summary.max_return, is_there)
+        # In the split placement a level may have lost its slot since it was proposed.
+        is_there = (tags["born"] != NEVER) & (tags["born"] == state.born[tags["slot"]])
+        state, best_return = with_returns(state, tags["slot"], outcome.summary.max_return, is_there)
         size = state.score.shape[0]
-        rates = level_rates(tags["place"], is_there, outcome.num_solved, outcome.num_finished, size)
+        rates = level_rates(tags["slot"], is_there, outcome.num_solved, outcome.num_finished, size)
         outcome = dataclasses.replace(outcome, summary=dataclasses.replace(outcome.summary, solve_rate=rates))
         score = REPLAY_SCORES[config.score](outcome, best_return)
-        state = played_again(state, tags["place"], score, is_there)
+        state = played_again(state, tags["slot"], score, is_there)
         state = taken_in(state, proposal.levels, score, best_return, tags["is_new"], config)
         return dataclasses.replace(state, num_updates=state.num_updates + 1)
 

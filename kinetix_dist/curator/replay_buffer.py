@@ -5,7 +5,7 @@ P_score(i) ~ (1 / rank_i)^(1 / temperature)      rank 1 has the highest score; o
 P_stale(i) ~ c - C_i                             c: now, C_i: when level i was last played, in updates
 
 All worlds of an update are seen at once: first the levels that were played again get their new scores, then new levels
-take the places of the least likely ones, the best new one against the least likely old one and so on, each where its
+take the slots of the least likely ones, the best new one against the least likely old one and so on, each where its
 score is higher. Nothing is added by scattering, which GPUs do in any order: an update that is repeated gives the same
 bits.
 """
@@ -28,13 +28,13 @@ from kinetix_dist.level.features import FEATURES, features_of_arrays
 from kinetix_dist.level.level import Level, select_first
 from kinetix_dist.telemetry.curriculum_log import LEVELS
 
-NEVER = -1  # `born` of a place that holds no level yet
+NEVER = -1  # `born` of a slot that holds no level yet
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReplayBuffer:
-    """`K` places for levels."""
+    """`K` slots for levels."""
 
     levels: Level  # [K, ...]
     score: Array  # [K] float32, mean over the worlds that played it when it was last scored
@@ -61,10 +61,10 @@ def empty_buffer(level: Level, size: int) -> ReplayBuffer:
 
 
 def replay_chances(buffer: ReplayBuffer, config: PlrConfig) -> Array:
-    """[K] float32, adding up to 1; all zero while the buffer is empty. Equal scores rank in the order of places."""
-    order = jnp.argsort(-buffer.score, stable=True)  # places without a level come last
-    places = jnp.arange(1, order.size + 1)
-    rank = jnp.zeros_like(order).at[order].set(places, unique_indices=True)
+    """[K] float32, adding up to 1; all zero while the buffer is empty. Equal scores rank in the order of slots."""
+    order = jnp.argsort(-buffer.score, stable=True)  # slots without a level come last
+    slots = jnp.arange(1, order.size + 1)
+    rank = jnp.zeros_like(order).at[order].set(slots, unique_indices=True)
     if config.prioritisation == "rank":
         by_score = (1.0 / rank) ** (1.0 / config.temperature)
     else:
@@ -78,37 +78,37 @@ def replay_chances(buffer: ReplayBuffer, config: PlrConfig) -> Array:
     return (1.0 - config.staleness) * shares(by_score) + config.staleness * shares(by_age)
 
 
-def with_returns(buffer: ReplayBuffer, place: Array, max_return: Array, is_there: Array) -> tuple[ReplayBuffer, Array]:
+def with_returns(buffer: ReplayBuffer, slot: Array, max_return: Array, is_there: Array) -> tuple[ReplayBuffer, Array]:
     """The buffer with best returns raised by those of this update, and the best return of each world's level [W].
 
-    place, is_there [W]: as in `played_again`; a world elsewhere has its own max_return [W] alone.
+    slot, is_there [W]: as in `played_again`; a world elsewhere has its own max_return [W] alone.
     """
-    into = jnp.where(is_there, place, buffer.score.shape[0])
+    into = jnp.where(is_there, slot, buffer.score.shape[0])
     best = buffer.best_return.at[into].max(max_return, mode="drop")
-    return dataclasses.replace(buffer, best_return=best), jnp.where(is_there, best[place], max_return)
+    return dataclasses.replace(buffer, best_return=best), jnp.where(is_there, best[slot], max_return)
 
 
-def level_rates(place: Array, is_there: Array, num_solved: Array, num_finished: Array, size: int) -> Array:
+def level_rates(slot: Array, is_there: Array, num_solved: Array, num_finished: Array, size: int) -> Array:
     """[W] float32, the solve rate of each world's level: the mean over the worlds that played it, UNKNOWN where none
     of them finished an episode.
 
-    place, is_there [W]: as in `played_again`; a world elsewhere played a level of its own. size: places of the buffer.
+    slot, is_there [W]: as in `played_again`; a world elsewhere played a level of its own. size: slots of the buffer.
     """
     rate, is_known = solve_rate(num_solved, num_finished), num_finished > 0
-    mean, has_any = mean_by_place(jnp.where(is_there & is_known, place, size), rate, size)
-    pooled = jnp.where(has_any[place], mean[place], UNKNOWN)
+    mean, has_any = mean_by_slot(jnp.where(is_there & is_known, slot, size), rate, size)
+    pooled = jnp.where(has_any[slot], mean[slot], UNKNOWN)
     return jnp.where(is_there, pooled, jnp.where(is_known, rate, UNKNOWN))
 
 
-def played_again(buffer: ReplayBuffer, place: Array, score: Array, is_there: Array) -> ReplayBuffer:
+def played_again(buffer: ReplayBuffer, slot: Array, score: Array, is_there: Array) -> ReplayBuffer:
     """New scores of levels that worlds played from the buffer.
 
-    place [W]: of the level of each world; score [W]; is_there [W] bool: the world played the level that is in that
-    place now. A level that all its worlds say nothing of (UNKNOWN) keeps its score.
+    slot [W]: of the level of each world; score [W]; is_there [W] bool: the world played the level that is in that
+    slot now. A level that all its worlds say nothing of (UNKNOWN) keeps its score.
     """
     size = buffer.score.shape[0]
-    played = jnp.where(is_there, place, size)
-    mean, is_known = mean_by_place(jnp.where(score > UNKNOWN, played, size), score, size)
+    played = jnp.where(is_there, slot, size)
+    mean, is_known = mean_by_slot(jnp.where(score > UNKNOWN, played, size), score, size)
     return dataclasses.replace(
         buffer,
         score=jnp.where(is_known, mean, buffer.score),
@@ -119,18 +119,18 @@ def played_again(buffer: ReplayBuffer, place: Array, score: Array, is_there: Arr
 def taken_in(
     buffer: ReplayBuffer, levels: Level, score: Array, best_return: Array, is_new: Array, config: PlrConfig
 ) -> ReplayBuffer:
-    """The buffer after new levels (is_new [W]) took places: empty ones first, then the least likely to be played."""
+    """The buffer after new levels (is_new [W]) took slots: empty ones first, then the least likely to be played."""
     score = jnp.where(is_new, score, UNKNOWN)
-    num_places = min(score.shape[0], buffer.score.shape[0])
-    best = jnp.argsort(-score, stable=True)[:num_places]
+    num_slots = min(score.shape[0], buffer.score.shape[0])
+    best = jnp.argsort(-score, stable=True)[:num_slots]
     chance = jnp.where(buffer.is_filled, replay_chances(buffer, config), -1.0)
-    place = jnp.argsort(chance, stable=True)[:num_places]
-    takes = score[best] > buffer.score[place]
+    slot = jnp.argsort(chance, stable=True)[:num_slots]
+    takes = score[best] > buffer.score[slot]
 
     def put(old: Array, new: Array) -> Array:
-        return old.at[place].set(select_first(takes, new, old[place]), unique_indices=True)
+        return old.at[slot].set(select_first(takes, new, old[slot]), unique_indices=True)
 
-    now = jnp.full(num_places, buffer.num_updates, jnp.int32)
+    now = jnp.full(num_slots, buffer.num_updates, jnp.int32)
     return dataclasses.replace(
         buffer,
         levels=jax.tree.map(lambda old, new: put(old, new[best]), buffer.levels, levels),
@@ -141,35 +141,35 @@ def taken_in(
     )
 
 
-def mean_by_place(place: Array, value: Array, size: int) -> tuple[Array, Array]:
-    """Means of the values [W] of each place, [size], and whether it had any. A place of `size` is none.
+def mean_by_slot(slot: Array, value: Array, size: int) -> tuple[Array, Array]:
+    """Means of the values [W] of each slot, [size], and whether it had any. A slot of `size` is none.
 
     Values are added in the order of worlds: a scatter that adds would do so in any order on a GPU.
     """
-    order = jnp.argsort(place, stable=True)
-    place = place[order]
+    order = jnp.argsort(slot, stable=True)
+    slot = slot[order]
 
     def add(left: tuple[Array, ...], right: tuple[Array, ...]) -> tuple[Array, ...]:
         is_same = left[0] == right[0]
         total, count = (jnp.where(is_same, a + b, b) for a, b in zip(left[1:], right[1:], strict=True))
         return right[0], total, count
 
-    value = jnp.where(place < size, value[order], 0.0)
-    _, total, count = jax.lax.associative_scan(add, (place, value, jnp.ones_like(value)))
-    is_last = jnp.append(place[1:] != place[:-1], True)
-    into = jnp.where(is_last, place, size)
+    value = jnp.where(slot < size, value[order], 0.0)
+    _, total, count = jax.lax.associative_scan(add, (slot, value, jnp.ones_like(value)))
+    is_last = jnp.append(slot[1:] != slot[:-1], True)
+    into = jnp.where(is_last, slot, size)
     mean = jnp.zeros(size, value.dtype).at[into].set(total / count, mode="drop")
     return mean, jnp.zeros(size, bool).at[into].set(True, mode="drop")
 
 
 def buffer_log(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What a buffer_*.npz says, from the arrays of a `ReplayBuffer` by path: of places that hold a level, in order."""
-    place = np.flatnonzero(state["born"] != NEVER)
-    levels = {path: array[place] for path, array in select_arrays(state, "levels").items()}
+    """Arrays of a buffer_*.npz from those of a `ReplayBuffer` by path: slots that hold a level, in order."""
+    slot = np.flatnonzero(state["born"] != NEVER)
+    levels = {path: array[slot] for path, array in select_arrays(state, "levels").items()}
     return {
         "policy_version": np.int32(state["num_updates"]),
-        "place": place.astype(np.int32),
-        **{name: state[name][place] for name in ("score", "best_return", "born", "last_played")},
+        "slot": slot.astype(np.int32),
+        **{name: state[name][slot] for name in ("score", "best_return", "born", "last_played")},
         "features": features_of_arrays(levels),
         "feature_names": np.array(FEATURES),
         **{f"{LEVELS}{path}": array for path, array in levels.items()},

@@ -1,4 +1,4 @@
-"""What Prioritized Level Replay ranks levels by, `curriculum.plr.score`: a function of what an update saw of a level.
+"""Scores by which Prioritized Level Replay ranks levels, `curriculum.plr.score`: functions of an update's episodes.
 
 | name | score of a level | source |
 |---|---|---|
@@ -34,7 +34,7 @@ UNKNOWN = -jnp.inf  # the score of a level of which nothing is known: below all 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ValueSummary:
-    """What a trajectory says of each world."""
+    """Returns and values of each world in a trajectory."""
 
     mean_value: Array  # [W] float32, of the value function, over all steps
     max_return: Array  # [W] float32, highest undiscounted return of an episode that ended, UNKNOWN without one

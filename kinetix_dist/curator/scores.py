@@ -1,4 +1,4 @@
-"""How much a policy can learn from a level, estimated from a few episodes.
+"""Learnability: how much a policy can learn from a level, estimated from a few episodes.
 
 Learnability (Sampling For Learnability): p (1 - p), p = solved / finished episodes. It is the variance of the
 outcome: zero for a level that is always or never solved, 1/4 for one that is solved every other time.

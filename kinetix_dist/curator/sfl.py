@@ -1,4 +1,4 @@
-"""Sampling For Learnability: score random levels with the current policy, keep those it solves sometimes.
+"""Sampling For Learnability: score random levels with the current policy, store those it solves sometimes.
 
 Every `refresh_every` updates: N fresh candidates, `scoring_steps` environment steps of the policy on each, score
 p(1-p), the best K make the buffer. A share of the worlds plays its levels, the rest fresh ones. The buffer depends on
@@ -22,6 +22,7 @@ from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.curator.level_buffer import (
+    Candidates,
     LevelBuffer,
     Scored,
     buffer_metrics,
@@ -42,7 +43,7 @@ class Probe:
     """Some levels of a buffer, to be played again."""
 
     policy_version: Any  # [] int32, that scored the buffer
-    index: Any  # [m] int32, places in the buffer
+    index: Any  # [m] int32, slots in the buffer
     levels: Level  # [m, ...]
 
 
@@ -77,7 +78,7 @@ class Sfl(Curriculum):
         return worlds_per_group - num_from_buffer(config, worlds_per_group)
 
     @property
-    def num_places(self) -> int:
+    def num_slots(self) -> int:
         return self.tools.config.buffer_size
 
     def init(self) -> LevelBuffer:
@@ -99,16 +100,16 @@ class Sfl(Curriculum):
         """A group's worlds are those of the buffer first, then the fresh ones."""
         del groups
         if state is None:
-            raise ValueError("a curriculum with a buffer was asked for levels before it was filled")
+            raise ValueError("a curriculum with a buffer cannot propose levels before it is filled")
         size, num_groups = self.tools.worlds_per_group, group_keys.shape[0]
         num_buffered = num_from_buffer(self.tools.config, size)
         num_fresh = self.num_fresh(self.tools.config, size)
         split = jax.vmap(prng.split)(group_keys)
         parts, sources = [], []
         if num_buffered:
-            levels, places = jax.vmap(lambda key: draw(key, state, num_buffered))(split[:, 0])
+            levels, slots = jax.vmap(lambda key: draw(key, state, num_buffered))(split[:, 0])
             parts.append(levels)
-            sources.append(len(self.sources) + places)
+            sources.append(len(self.sources) + slots)
         if num_fresh:
             parts.append(by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups))
             sources.append(jnp.full((num_groups, num_fresh), self.sources.index("fresh"), jnp.int32))
@@ -128,17 +129,15 @@ class Sfl(Curriculum):
             params, key = placed[index % len(devices)]
             return self._score_batch(params, prng.fold_in(key, batch))
 
-        # Asked of all devices before any is waited for.
+        # All devices get work before any is waited for.
         levels, *counts = zip(*(score(index, batch) for index, batch in enumerate(batches)), strict=True)
         counts.append([self._features(batch) for batch in levels])
         num_solved, num_finished, features = (np.concatenate(jax.device_get(count)) for count in counts)
         one_batch = np.arange(config.scoring_batch)
+        number = np.concatenate([batch * config.scoring_batch + one_batch for batch in batches])
         return scored(
-            lambda places: self._pick(jax.device_put(levels, devices[0]), places),
-            np.concatenate([batch * config.scoring_batch + one_batch for batch in batches]),
-            num_solved,
-            num_finished,
-            features=features,
+            Candidates(number, num_solved, num_finished, features),
+            lambda index: self._pick(jax.device_put(levels, devices[0]), index),
             size=config.buffer_size,
             policy_version=policy_version,
         )
@@ -166,7 +165,7 @@ class Sfl(Curriculum):
         return Probe(policy_version=state.policy_version, index=index.astype(np.int32), levels=levels)
 
     def play_probe(self, params: Any, probe: Probe, key: Array) -> dict[str, np.ndarray]:
-        """As candidates are played, by the new policy."""
+        """Outcomes of the probe's levels, played by the new policy as candidates are."""
         outcome = self._play(params, probe.levels, key, self.tools.config.scoring_steps)
         return {
             "policy_version": np.int32(probe.policy_version),
@@ -180,7 +179,7 @@ class Sfl(Curriculum):
         self._score_batch.lower(params, prng.fold_in(key, 0)).compile()
 
     def compile_probe(self, params: Any, num_levels: int) -> None:
-        levels = jax.eval_shape(lambda: self._empty_levels(min(num_levels, self.num_places)))
+        levels = jax.eval_shape(lambda: self._empty_levels(min(num_levels, self.num_slots)))
         self._play.lower(params, levels, prng.key(0), self.tools.config.scoring_steps).compile()
 
     def _empty_levels(self, num_levels: int) -> Level:
@@ -195,5 +194,5 @@ class Sfl(Curriculum):
         return levels, outcome.num_solved, outcome.num_finished
 
 
-def _pick(batches: tuple[Level, ...], places: Array) -> Level:
-    return jax.tree.map(lambda *xs: jnp.concatenate(xs)[places], *batches)
+def _pick(batches: tuple[Level, ...], slots: Array) -> Level:
+    return jax.tree.map(lambda *xs: jnp.concatenate(xs)[slots], *batches)

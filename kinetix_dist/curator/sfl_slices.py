@@ -29,11 +29,11 @@ from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.curator.halving import Attempts, Halving
-from kinetix_dist.curator.level_buffer import LevelBuffer, Scored, keep_best, refresh_log, scored
+from kinetix_dist.curator.level_buffer import Candidates, LevelBuffer, Scored, keep_best, refresh_log, scored
 from kinetix_dist.curator.scores import learnability
 from kinetix_dist.curator.slice_buffer import (
     SliceBuffer,
-    draw_places,
+    draw_slots,
     filled,
     harvested,
     played,
@@ -51,7 +51,7 @@ NO_LEVEL = -1  # in the tags: the world plays a fresh level
 
 
 class SflSlices(Curriculum):
-    """Its state is the `SliceBuffer`. Tags: place in the buffer, and the policy version that chose the level there."""
+    """Its state is the `SliceBuffer`. Tags: slot in the buffer, and the policy version that chose the level there."""
 
     observes = True
     refreshes = True
@@ -64,10 +64,10 @@ class SflSlices(Curriculum):
     def __init__(self, tools: CurriculumTools) -> None:
         super().__init__(tools)
         slices, batch = tools.config.slices, tools.config.scoring_batch
-        self._halving = Halving(batch, slices.attempts, slices.kept(batch))
+        self._halving = Halving(batch, slices.attempts, slices.num_in_rounds(batch))
         self._draw = jax.jit(lambda key: tools.draw_fresh(key[None], batch))
         self._play = jax.jit(self._play_launch)
-        self._pick = jax.jit(lambda levels, places: jax.tree.map(lambda x: x[places], levels))
+        self._pick = jax.jit(lambda levels, slots: jax.tree.map(lambda x: x[slots], levels))
         self._features = jax.jit(level_features)
 
     @classmethod
@@ -81,7 +81,7 @@ class SflSlices(Curriculum):
                 f"CurriculumConfig.buffer_size {config.buffer_size} is not a multiple of slices.slice_size "
                 f"{slices.slice_size}; change one of them"
             )
-        if (num_last := slices.kept(batch)[-1] * config.num_batches) < slices.slice_size:
+        if (num_last := slices.num_in_rounds(batch)[-1] * config.num_batches) < slices.slice_size:
             raise ValueError(
                 f"of {config.num_candidates} candidates {num_last} are left in the last round of "
                 f"slices.keep_one_of {slices.keep_one_of}, fewer than slices.slice_size {slices.slice_size}; raise "
@@ -122,22 +122,22 @@ class SflSlices(Curriculum):
         """A group's worlds are those of the buffer first, then the fresh ones."""
         del groups
         if state is None:
-            raise ValueError("a curriculum with a buffer was asked for levels before it was filled")
+            raise ValueError("a curriculum with a buffer cannot propose levels before it is filled")
         size, num_groups = self.tools.worlds_per_group, group_keys.shape[0]
         num_fresh = self.num_fresh(self.tools.config, size)
         num_buffered = size - num_fresh
         split = jax.vmap(prng.split)(group_keys)
         parts, tags, sources = [], [], []
 
-        def add(levels: Level, place: Array, version: Array, source: str) -> None:
+        def add(levels: Level, slot: Array, version: Array, source: str) -> None:
             parts.append(levels)
-            tags.append({"place": place, "version": version})
-            sources.append(jnp.full(place.shape, self.sources.index(source), jnp.int32))
+            tags.append({"slot": slot, "version": version})
+            sources.append(jnp.full(slot.shape, self.sources.index(source), jnp.int32))
 
         if num_buffered:
-            place = jax.vmap(lambda key: draw_places(key, state, num_buffered))(split[:, 0])
-            levels = jax.tree.map(lambda x: x[place], state.levels)
-            add(levels, place, state.policy_version[place], "buffer")
+            slot = jax.vmap(lambda key: draw_slots(key, state, num_buffered))(split[:, 0])
+            levels = jax.tree.map(lambda x: x[slot], state.levels)
+            add(levels, slot, state.policy_version[slot], "buffer")
         if num_fresh:
             none = jnp.full((num_groups, num_fresh), NO_LEVEL, jnp.int32)
             add(by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups), none, none, "fresh")
@@ -145,18 +145,18 @@ class SflSlices(Curriculum):
 
     def observe(self, state: SliceBuffer, proposal: Proposal, outcome: LevelOutcome) -> SliceBuffer:
         config = self.tools.config.slices
-        place, version = proposal.tags["place"], proposal.tags["version"]
-        is_fresh = place == NO_LEVEL
-        # In the split placement another level may have taken the place since.
-        is_there = ~is_fresh & (version == state.policy_version[place])
+        slot, version = proposal.tags["slot"], proposal.tags["version"]
+        is_fresh = slot == NO_LEVEL
+        # In the split placement another level may have taken the slot since.
+        is_there = ~is_fresh & (version == state.policy_version[slot])
         if config.num_harvested:
             is_solved = is_fresh & (outcome.first_solved > 0)
             harvest = harvested(state.harvest, proposal.levels, is_solved, state.num_updates)
             state = dataclasses.replace(state, harvest=harvest)
-        return played(state, place, outcome.first_solved, is_there, config)
+        return played(state, slot, outcome.first_solved, is_there, config)
 
     def refresh_input(self, state: SliceBuffer | None) -> dict[str, Any] | None:
-        """Fresh levels that were solved since the last refresh was asked for, newest first; "count": how many."""
+        """Fresh levels that were solved since the last request of a refresh, newest first; "count": how many."""
         if state is None or not self.tools.config.slices.num_harvested:
             return None
         is_new = state.harvest.solved_at >= jnp.maximum(0, state.num_updates - self.tools.config.refresh_every)
@@ -194,24 +194,22 @@ class SflSlices(Curriculum):
                 levels = self._draw(level_key)
             known = {"num_solved": 1, "num_known": 1} if is_harvested else {}
             tried = self._halving(lambda number, key: self._play(params, levels, number, key), play_key, **known)
-            return tried, self._pick(levels, tried.kept), self._features(levels)
+            return tried, self._pick(levels, tried.finalists), self._features(levels)
 
         found = []
         for start in range(0, len(batches), len(devices)):
-            # Asked of all devices before any is waited for; what they keep goes to the host before the next ones.
-            asked = [score(index, batch) for index, batch in enumerate(batches[start : start + len(devices)])]
-            found.extend(jax.device_get(asked))
+            # All devices get work before any is waited for; finalists go to the host before the next ones.
+            launched = [score(index, batch) for index, batch in enumerate(batches[start : start + len(devices)])]
+            found.extend(jax.device_get(launched))
         tried, finalists, features = zip(*found, strict=True)
         candidate = np.concatenate([batch * batch_size + np.arange(batch_size) for batch in batches])
-        place_of = np.full(len(candidate), -1)  # of a candidate among the finalists
-        kept = np.concatenate([index * batch_size + each.kept for index, each in enumerate(tried)])
-        place_of[kept] = np.arange(len(kept))
+        slot_of = np.full(len(candidate), -1)  # of a candidate among the finalists
+        finalists_of_all = np.concatenate([index * batch_size + each.finalists for index, each in enumerate(tried)])
+        slot_of[finalists_of_all] = np.arange(len(finalists_of_all))
+        counts = (np.concatenate([getattr(each, name) for each in tried]) for name in ("num_solved", "num_attempts"))
         return scored(
-            lambda places: jax.tree.map(lambda *xs: np.concatenate(xs)[place_of[places]], *finalists),
-            candidate,
-            np.concatenate([each.num_solved for each in tried]),
-            np.concatenate([each.num_attempts for each in tried]),
-            features=np.concatenate(features),
+            Candidates(candidate, *counts, np.concatenate(features)),
+            lambda index: jax.tree.map(lambda *xs: np.concatenate(xs)[slot_of[index]], *finalists),
             size=size,
             policy_version=policy_version,
             min_finished=config.slices.attempts[-1],
@@ -231,18 +229,18 @@ class SflSlices(Curriculum):
 
     @classmethod
     def refresh_log(cls, config: CurriculumConfig, parts: Sequence[Scored]) -> dict[str, np.ndarray]:
-        """Of the levels adopted alone."""
+        """Arrays of the adopted levels alone."""
         size = num_adopted(config, int(parts[0].policy_version))
         return refresh_log(parts, size, config.slices.attempts[-1])
 
     @classmethod
     def buffer_log(cls, state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """What a buffer_*.npz says, from the arrays of a `SliceBuffer` by path."""
+        """Arrays of a buffer_*.npz from those of a `SliceBuffer` by path."""
         levels = select_arrays(state, "levels")
         solved, finished = state["num_solved"], state["num_finished"]
         return {
             "policy_version": np.int32(state["num_updates"]),
-            "place": np.arange(len(solved), dtype=np.int32),
+            "slot": np.arange(len(solved), dtype=np.int32),
             "score": learnability(solved.astype(np.float32), finished.astype(np.float32)),
             "solved": solved,
             "finished": finished,

@@ -2,7 +2,7 @@
 
     observe, each update    plays of its levels are counted; a level whose last plays say "mastered" or "out of reach"
                             leaves: it is not drawn any more. Fresh levels that were solved are kept as candidates
-    adopt, each refresh     a slice of new levels takes the places of those that left, then of the oldest
+    adopt, each refresh     a slice of new levels takes the slots of those that left, then of the oldest
 
 A play is the first episode of a world in an update, so that it solves the level with the chance p of the policy, and
 plays of a level may be added up (`actors/outcomes.py`). All counts are integers: they are the same however worlds lie
@@ -26,13 +26,13 @@ from kinetix_dist.curator.scores import learnability, solve_rate
 from kinetix_dist.level.level import Level
 
 IN_USE, MASTERED, OUT_OF_REACH = 0, 1, 2  # `SliceBuffer.status`
-NEVER = -1  # `Harvest.solved_at` of a place without a level
+NEVER = -1  # `Harvest.solved_at` of a slot without a level
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Harvest:
-    """`H` places for fresh levels that training solved at the first attempt, newest first."""
+    """`H` slots for fresh levels that training solved at the first attempt, newest first."""
 
     levels: Level  # [H, ...]
     solved_at: Array  # [H] int32, number of the update, or NEVER
@@ -46,7 +46,7 @@ class SliceBuffer:
     levels: Level  # [K, ...]
     num_solved: Array  # [K] int32, of the attempts by which it was chosen
     num_finished: Array  # [K] int32, these attempts
-    policy_version: Array  # [K] int32, that chose it: with the place, which level it is
+    policy_version: Array  # [K] int32, that chose it: with the slot, which level it is
     status: Array  # [K] int8, IN_USE or why it left
     num_plays: Array  # [K] int32, in training since it came in
     window_solved: Array  # [K, R] int32
@@ -94,15 +94,15 @@ def filled(new: LevelBuffer, config: SlicesConfig) -> SliceBuffer:
 
 
 def with_slice(buffer: SliceBuffer, new: LevelBuffer) -> SliceBuffer:
-    """`buffer` with new levels in the places of those that left, the others in those of the oldest. numpy."""
+    """`buffer` with new levels in the slots of those that left, the others in those of the oldest. numpy."""
     size = new.score.shape[0]
     oldest_first = np.lexsort((buffer.policy_version, buffer.status == IN_USE))
-    place = oldest_first[:size]
-    status = np.asarray(buffer.status)[place]
+    slot = oldest_first[:size]
+    status = np.asarray(buffer.status)[slot]
 
     def put(old: Any, values: Any) -> np.ndarray:
         changed = np.array(old)
-        changed[place] = values
+        changed[slot] = values
         return changed
 
     zeroed = ("status", "num_plays", "window_solved", "window_plays", "last_solved", "last_plays")
@@ -121,7 +121,7 @@ def with_slice(buffer: SliceBuffer, new: LevelBuffer) -> SliceBuffer:
     )
 
 
-def draw_places(key: Array, buffer: SliceBuffer, num_levels: int) -> Array:
+def draw_slots(key: Array, buffer: SliceBuffer, num_levels: int) -> Array:
     """[num_levels] int32, uniformly with replacement among levels in use; among all where every level has left."""
     in_use = buffer.status == IN_USE
     num_in_use = jnp.where(in_use.any(), in_use.sum(), in_use.size)
@@ -129,11 +129,11 @@ def draw_places(key: Array, buffer: SliceBuffer, num_levels: int) -> Array:
     return in_use_first[prng.randint(key, (num_levels,), 0, num_in_use)]
 
 
-def played(buffer: SliceBuffer, place: Array, solved: Array, is_there: Array, config: SlicesConfig) -> SliceBuffer:
-    """After the plays of an update. place, solved [W] int32: of each world; is_there [W] bool: the world played the
-    level that is in that place now."""
+def played(buffer: SliceBuffer, slot: Array, solved: Array, is_there: Array, config: SlicesConfig) -> SliceBuffer:
+    """After the plays of an update. slot, solved [W] int32: of each world; is_there [W] bool: the world played the
+    level that is in that slot now."""
     size = buffer.status.shape[0]
-    into = jnp.where(is_there, place, size)
+    into = jnp.where(is_there, slot, size)
     count = jnp.zeros(size, jnp.int32)
     num_solved, num_plays = count.at[into].add(solved, mode="drop"), count.at[into].add(1, mode="drop")
     is_played = (num_plays > 0)[:, None]
@@ -168,7 +168,7 @@ def recent(window_solved: Array, window_plays: Array, num_plays: int) -> tuple[A
 
 
 def harvested(harvest: Harvest, levels: Level, is_solved: Array, num_updates: Array) -> Harvest:
-    """With the levels [W] where `is_solved`, those of update `num_updates`, before older ones."""
+    """Harvest with the levels [W] where `is_solved`, those of update `num_updates`, before older ones."""
     size = harvest.solved_at.shape[0]
     solved_at = jnp.concatenate([jnp.where(is_solved, num_updates, NEVER), harvest.solved_at])
     newest = jnp.argsort(-solved_at, stable=True)[:size]
@@ -199,7 +199,7 @@ def learnability_now(num_solved: np.ndarray, num_plays: np.ndarray) -> tuple[flo
 
 
 def slice_metrics(buffer: SliceBuffer, num_updates: int) -> dict[str, Any]:
-    """What `telemetry.names` calls curriculum/*, after `num_updates` updates. numpy."""
+    """Metrics curriculum/* after `num_updates` updates, as numpy."""
     now, error = learnability_now(buffer.last_solved, buffer.last_plays)
     num_replaced = np.maximum(buffer.num_replaced, 1)
     is_in_use = buffer.status == IN_USE

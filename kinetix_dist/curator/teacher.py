@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array, Capacity
 from kinetix_dist import prng
-from kinetix_dist.curator.agents import Agents
+from kinetix_dist.curator.agents import AgentPpo, Agents
 from kinetix_dist.curator.config import PairedConfig
 from kinetix_dist.env.action_spaces.masked_categorical import MaskedCategorical
 from kinetix_dist.level.construction import (
@@ -35,9 +35,6 @@ from kinetix_dist.level.level import Level
 from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.teacher import NUM_NOISE, TeacherObs, TeacherPolicy, construction_features
 
-# Levels are short games with one reward at their end.
-_PPO = {"minibatches": 1, "discount": 1.0, "trace": 0.95, "value_clip": False}
-
 
 class LevelBuilder:
     """Builds levels of one capacity by given parameters. Raises ValueError where levels cannot be built."""
@@ -50,7 +47,7 @@ class LevelBuilder:
         self.policy = TeacherPolicy(config.hidden_size, config.hidden_layers, self.distribution.head_sizes)
 
     def first_obs(self) -> TeacherObs:
-        """Of one level, before anything is built; works in `jax.eval_shape`."""
+        """Observation of one level before anything is built; works in `jax.eval_shape`."""
         return self._observe(self._begin(1), jnp.int32(0), jnp.zeros((1, NUM_NOISE), jnp.float32))
 
     def build(self, params: Any, keys: Array) -> tuple[Level, Trajectory]:
@@ -100,8 +97,17 @@ class Teacher(LevelBuilder):
 
     def __init__(self, capacity: Capacity, generator: GeneratorConfig, config: PairedConfig, agents: Agents) -> None:
         super().__init__(capacity, generator, config)
-        ppo = {name: getattr(config, name) for name in ("learning_rate", "epochs", "clip", "entropy_coefficient")}
-        self._agent = agents.teacher(self.policy, self.distribution, jax.eval_shape(self.first_obs), **_PPO, **ppo)
+        ppo = AgentPpo(
+            learning_rate=config.learning_rate,
+            epochs=config.epochs,
+            clip=config.clip,
+            entropy_coefficient=config.entropy_coefficient,
+            minibatches=1,
+            discount=1.0,  # levels are short games with one reward at their end
+            trace=0.95,
+            value_clip=False,
+        )
+        self._agent = agents.teacher(self.policy, self.distribution, jax.eval_shape(self.first_obs), ppo)
 
     def init(self) -> Any:
         return self._agent.init()

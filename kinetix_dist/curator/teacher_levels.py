@@ -20,7 +20,7 @@ PARAMS_PREFIX = "curriculum/teacher/params"  # where a checkpoint's arrays keep 
 
 @dataclasses.dataclass(frozen=True)
 class TeacherLevels:
-    """Those that a teacher builds with given parameters; a `LevelGenerator`."""
+    """Levels that a teacher builds with given parameters; a `LevelGenerator`."""
 
     builder: LevelBuilder
     params: Any
@@ -30,7 +30,7 @@ class TeacherLevels:
 
 
 def teacher_levels(checkpoint: Checkpoint, config: CurriculumConfig, capacity: Capacity) -> TeacherLevels:
-    """Those of the teacher in a checkpoint of a run with this curriculum and capacity.
+    """Generator of the teacher in a checkpoint of a run with this curriculum and capacity.
 
     Raises ValueError for a run of another curriculum, and `ArrayMismatchError` for parameters of another network.
     """

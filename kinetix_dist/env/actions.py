@@ -1,4 +1,4 @@
-"""From actions to controls: an action belongs to a colour, and every motor or thruster of that colour obeys it.
+"""Controls from actions: an action belongs to a colour, and every motor or thruster of that colour obeys it.
 
     actions [W, 6] -> value of each colour [W, 4], [W, 2] -> value of each motor [W, J] and thruster [W, T]
 

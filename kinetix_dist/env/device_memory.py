@@ -1,7 +1,7 @@
-"""Whether a batch fits into the memory of the device it is played on, known before anything is computed.
+"""Check that a batch fits into the memory of its device, before anything is computed.
 
-Only observations that are large are counted (`Observation.working_bytes`), pictures that is: a batch of these can ask
-for more than there is by a mistake of one digit.
+Only large observations are counted (`Observation.working_bytes`), that is pictures: one digit too many in their batch
+exceeds any memory.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class Environment:
 
     @property
     def action_distribution(self) -> ActionDistribution:
-        """How a policy acts. Raises ValueError for an action space in which none can."""
+        """Distribution of actions. Raises ValueError for an action space in which no policy can act."""
         if self.action_space.distribution is None:
             raise ValueError(f"policies cannot be trained for {self.action_space.name!r} actions")
         return self.action_space.distribution
@@ -155,7 +155,7 @@ class Environment:
         for name, number in found.items():
             if number != getattr(capacity, name):
                 raise ValueError(
-                    f"levels have room for {number} {name}, size {self.config.size!r} for {getattr(capacity, name)}; "
+                    f"levels have slots for {number} {name}, size {self.config.size!r} for {getattr(capacity, name)}; "
                     "fit the levels to the size or choose another size"
                 )
 

@@ -1,4 +1,4 @@
-"""What goes into and comes out of an environment: prepared levels, states of episodes, what is known of a step."""
+"""Inputs and outputs of an environment: prepared levels, states of episodes, information about a step."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class PreparedLevels:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EnvState:
-    """How a batch of episodes stands."""
+    """State of a batch of episodes."""
 
     packed_state: Any  # jax2d packed state, [field, W]
     distance: Array  # [W] m, of green and blue now
@@ -42,7 +42,7 @@ class EnvState:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StepInfo:
-    """What else is known of a step. Outcomes are True only in the step that ends an episode, one of them at most."""
+    """Outcomes and counters of a step. Outcomes are True only in the step that ends an episode, one of them at most."""
 
     solved: Array  # [W] bool, green touched blue
     failed: Array  # [W] bool, green touched red
@@ -53,6 +53,6 @@ class StepInfo:
     invalid_actions: Array  # [W] int32, numbers of this step's action that were out of range and acted as "off"
     invalid_controls: Array  # [W] int32, controls that the engine found out of range or NaN
     invalid_scene: Array  # [W] int32, joints, thrusters and polygons of the level that make no sense to the engine
-    contact_overflow: Array  # [W] int32, contacts that found no room in the engine (0 unless built too small)
+    contact_overflow: Array  # [W] int32, contacts that found no slot in the engine (0 unless built too small)
     speed_limited: Array  # [W] int32, times that a speed limit of the physics acted
     missing_effects: Array  # [W] int32, what an engine made for fewer effects lacks, as bits: `Touching.missing`

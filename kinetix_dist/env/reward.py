@@ -24,7 +24,7 @@ from kinetix_dist.level.level import Role
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RoleMasks:
-    """Who plays what, in the form in which a step asks for it. Computed once a level."""
+    """Shapes of each role, in the form that a step needs; computed once per level."""
 
     is_green: Array  # [W, n] bool, active shapes only
     is_blue: Array  # [W, n] bool
@@ -35,7 +35,7 @@ class RoleMasks:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a step went. At most one of the four is True; the episode goes on when none is."""
+    """Outcome of a step. At most one of the four is True; the episode goes on when none is."""
 
     solved: Array  # [W] bool, green touched blue and not red
     failed: Array  # [W] bool, green touched red

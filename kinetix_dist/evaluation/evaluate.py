@@ -5,8 +5,8 @@
 An attempt ends at its first `done`; whatever its world does after that is ignored, so that quick failures weigh as
 much as long successes. Keys are folded with level and attempt: results do not depend on the chunk size.
 The physics is deterministic and a level always begins the same way, so attempts on a level differ by the policy's
-samples only. A policy that draws nothing (greedy, no actions) is tried once a level, however many attempts are asked
-for: the others would be the same.
+samples only. A policy that draws nothing (greedy, no actions) is tried once per level: further attempts would be
+the same.
 Intervals are Wilson's at 95 % and take attempts as independent; over a whole set they speak of these levels, not of all
 that might be drawn.
 """
@@ -37,7 +37,7 @@ MAX_WORLDS = 4096  # worlds at once: enough to fill a GPU, and under 1 GB of mem
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Episodes:
-    """How the first episode of each world went. [W] on every field."""
+    """First episode of each world. [W] on every field."""
 
     finished: Array  # bool
     solved: Array  # bool
@@ -67,7 +67,7 @@ class SolveRate:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SolveRates:
-    """Of a set of levels: all attempts together, and each level."""
+    """Solve rates of a set of levels: of all attempts together, and of each level."""
 
     total: SolveRate
     levels: tuple[SolveRate, ...]
@@ -109,7 +109,7 @@ class SolveRates:
         return interval_over_levels([level.solved for level in self.levels], self.attempts_per_level, base_levels)
 
     def to_dict(self, *, per_level: bool = True) -> dict[str, Any]:
-        """For JSON: {"rate", "attempts", "low", "high", ..., "levels": [{"name", "rate", ...}, ...]}."""
+        """Values for JSON: {"rate", "attempts", "low", "high", ..., "levels": [{"name", "rate", ...}, ...]}."""
         content = dataclasses.asdict(self.total)
         del content["name"]
         content["worst_tenth"] = self.worst_tenth
@@ -173,7 +173,7 @@ def _chunks(total: int, max_worlds: int) -> list[Array]:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Playing:
-    """How first episodes stand after some steps. [W, ...] but for the number of steps."""
+    """First episodes after some steps. [W, ...] but for the number of steps."""
 
     num_steps: Array  # [] int32, environment steps played
     env_state: EnvState
@@ -267,7 +267,7 @@ def _record_first(episodes: Episodes, done: Array, info: StepInfo) -> Episodes:
 
 
 def solve_rate(name: str, episodes: Episodes) -> SolveRate:
-    """Of all episodes (numpy) together."""
+    """Solve rate of all episodes (numpy) together."""
     solved, attempts = int(episodes.solved.sum()), int(episodes.solved.size)
     low, high = wilson_interval(solved, attempts)
     return SolveRate(

@@ -1,4 +1,4 @@
-"""Who acts in an evaluation: a network, or one of two baselines that need none.
+"""Policies of an evaluation: a network, or one of two baselines.
 
 A policy here is a hashable function `(params, obs [W], keys [W]) -> actions`. One key a world, so that a world acts
 the same whichever others it shares a batch with. Frozen dataclasses: two equal policies share what was compiled.
@@ -65,7 +65,7 @@ class NetworkPolicy:
         outputs, _ = self.module.apply(params, obs)
         return self._choose(outputs, keys)
 
-    def remember(self, params: Any, obs: Any, keys: Array, memory: Array) -> tuple[Array, Array]:
+    def act_with_memory(self, params: Any, obs: Any, keys: Array, memory: Array) -> tuple[Array, Array]:
         """(actions, next memory [W, size]) of a recurrent network."""
         outputs, _, memory = self.module.apply(params, obs, memory)
         return self._choose(outputs, keys), memory
@@ -78,19 +78,19 @@ class NetworkPolicy:
 
 
 def distinct_attempts(policy: Policy, attempts: int) -> int:
-    """How many of so many attempts at a level can differ: one where the policy draws nothing, since a level begins the
+    """Number of attempts at a level that can differ: one where the policy draws nothing, since a level begins the
     same way every time and the physics is deterministic. A policy that does not say (`draws`) may draw."""
     return attempts if getattr(policy, "draws", True) else min(attempts, 1)
 
 
 def first_memory(policy: Policy, num_worlds: int) -> Array | None:
-    """What a policy remembers at the start of episodes; None for one without memory."""
+    """Memory of a policy at the start of episodes; None for one without memory."""
     return initial_memory(policy.module, num_worlds) if isinstance(policy, NetworkPolicy) else None
 
 
 def act(policy: Policy, params: Any, obs: Any, keys: Array, memory: Array | None) -> tuple[Array, Array | None]:
-    """(actions, next memory). What follows an episode's end is of no evaluation, so that nothing is forgotten here."""
+    """(actions, next memory). Only first episodes count, so that no memory is reset here."""
     if memory is None:
         return policy(params, obs, keys), None
     assert isinstance(policy, NetworkPolicy)  # no other has a memory
-    return policy.remember(params, obs, keys, memory)
+    return policy.act_with_memory(params, obs, keys, memory)

@@ -29,7 +29,7 @@ def replay(env: Environment, levels: Sequence[Level], proofs: Sequence[Proof]) -
 
 
 def fault_of_replay(proof: Proof, rollout: Rollout) -> str | None:
-    """What a replay says against a proof, in words; None where it solves the level.
+    """Fault of a proof when it is replayed, in words; None where it solves the level.
 
     It may take other steps than where the proof was made: processors and compilers round otherwise.
     """

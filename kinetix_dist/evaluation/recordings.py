@@ -142,7 +142,7 @@ def _play(env: Environment, policy: Policy, params: Any, prepared: PreparedLevel
 
 @functools.partial(jax.jit, static_argnums=0)
 def _play_actions(env: Environment, prepared: PreparedLevels, actions: Array) -> dict[str, Array]:
-    """What `_play` gives, for actions [T, W, ...]."""
+    """Result of `_play` for actions [T, W, ...]."""
 
     def play(env_state: Any, step_actions: Array) -> tuple[Any, dict[str, Array]]:
         env_state, _, seen = _step_seen(env, prepared, env_state, step_actions)
@@ -158,7 +158,7 @@ def _step_seen(
     controls, _ = controls_of(
         env.action_space, actions, prepared.motor_colour, prepared.motor_auto, prepared.thruster_colour
     )
-    # The environment restarts a finished episode at once: its last state is only seen by stepping beside it.
+    # The environment restarts a finished episode at once: its last state is only seen by stepping the engine alone.
     bodies = env.bodies_after(prepared, env_state, controls)
     env_state, obs, reward, done, info = env.step(prepared, env_state, actions)
     commands = {"actions": actions, "motor": controls.motor, "thruster": controls.thruster}

@@ -1,4 +1,4 @@
-"""What the solved attempts of each level of a set say beside their mean. No jax: results are also summed up later.
+"""Summaries of a set's solved attempts per level, other than their mean. No jax: results are also summed up later.
 
 worst_share(solved, attempts)          mean rate of the tenth of the levels that were solved least
 best_of(solved, attempts, k)           share of levels that k attempts would solve at least once
@@ -35,7 +35,7 @@ def best_of(solved: Sequence[int], attempts: int, k: int) -> float:
     """
     _check(solved, attempts)
     if not 1 <= k <= attempts:
-        raise ValueError(f"best of {k} cannot be told from {attempts} attempts; ask for 1 to {attempts}")
+        raise ValueError(f"best of {k} cannot be estimated from {attempts} attempts; choose 1 to {attempts}")
     failures = sum(math.comb(attempts - count, k) for count in solved)
     return 1.0 - failures / (math.comb(attempts, k) * len(solved))
 

@@ -21,7 +21,7 @@ LOSS_METRICS = ("policy_loss", "value_loss", "entropy", "approx_kl", "clip_fract
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Samples:
-    """What the loss needs of each of B samples besides the observation."""
+    """Input of the loss for B samples, but for the observation."""
 
     actions: Array  # [B, heads] integers
     old_log_probs: Array  # [B] float32

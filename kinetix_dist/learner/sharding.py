@@ -1,4 +1,4 @@
-"""Which array lies where: one mesh axis, "data", over all devices of all processes.
+"""Placement of arrays: one mesh axis, "data", over all devices of all processes.
 
 Worlds are sharded over it (each device owns a contiguous block of them, in the order of devices; `division.py` says
 which where they cannot be divided evenly), parameters and counters are replicated. A process that is one of several
@@ -71,7 +71,7 @@ def replicate(tree: Any, mesh: Mesh) -> Any:
 
 
 def shapes_of_replicated(shapes: Any, mesh: Mesh) -> Any:
-    """What `replicate` gives of arrays of such shapes."""
+    """Shapes that `replicate` gives for arrays of these shapes."""
     whole = replicated(mesh)
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=whole), shapes)
 

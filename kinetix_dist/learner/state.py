@@ -1,4 +1,4 @@
-"""What a learner is between two updates: parameters, optimizer state, key and counters.
+"""State of a learner between two updates: parameters, optimizer state, key and counters.
 
 Everything is a plain array (the key as its two words, the step count as two words), so that checkpoints, hashes and
 comparisons need no special cases. The optimizer sees parameters as one flat vector: an update is a few large
@@ -26,7 +26,7 @@ class LearnerState:
     """Replicated over devices and equal on all of them."""
 
     params: Any  # float32
-    average: Any  # as `params`, over updates, see step_size.py; None: no average is kept
+    average: Any  # as `params`, over updates, see step_size.py; None: there is no average
     opt_state: Any  # of the flattened parameters, see `adam`
     key: Array  # [2] uint32, `prng.key_data` of the learner's key; constant, updates fold in their number
     num_updates: Array  # [] int32, calls of update(); the policy version
@@ -36,7 +36,7 @@ class LearnerState:
 
     @property
     def released(self) -> Any:
-        """The parameters for evaluation, scoring and use: the average, where one is kept."""
+        """The parameters for evaluation, scoring and use: the average, where there is one."""
         return self.params if self.average is None else self.average
 
 
@@ -65,7 +65,7 @@ def init_learner_state(
 def at_env_steps(tree: Any, env_steps: Array) -> Any:
     """`tree` with the clock of every `LearnerState` in it at `env_steps`, as `clock` gives them.
 
-    The clock is that of the run, progress/env_steps before an update, whoever learns: a curriculum may let the policy
+    The clock is that of the run, progress/env_steps before an update: a curriculum may let the policy
     learn from a part of what is played, and other agents from games of other lengths.
     """
 

@@ -1,4 +1,4 @@
-"""How long the steps of PPO are: settings that change over training, a guard on KL, an average of the parameters.
+"""Step sizes of PPO: settings that change over training, a guard on KL, an average of the parameters.
 
     factor(t) = 1 + (end - 1) clip((t - anneal.start) / (anneal.end - anneal.start), 0, 1)
     rate      = factor of the learning rate * what the guard has left of it
@@ -27,7 +27,7 @@ GUARD_FACTOR = 0.8
 
 
 class Sizes(NamedTuple):
-    """Of one update. Plain numbers where nothing changes, so that programs are those of a constant."""
+    """Step sizes of one update. Plain numbers where nothing changes, so that programs are those of a constant."""
 
     rate: Any  # that the step of the optimizer is multiplied with
     clip: Any

@@ -57,7 +57,7 @@ Update = Callable[[LearnerState, StaticInput, Trajectory, Array], tuple[LearnerS
 
 @dataclasses.dataclass(frozen=True)
 class _Program:
-    """What an update is compiled for."""
+    """Settings that an update is compiled for."""
 
     policy: nn.Module
     observation: Observation
@@ -291,7 +291,7 @@ def _shuffled(key: Array, num_steps: int, num_worlds: int, program: _Program) ->
 def _advantage_statistics(
     advantages: Array, is_counted: Array | None, minibatch_size: int, config: PpoConfig
 ) -> tuple[Array, Array]:
-    """What to subtract from and multiply with the advantages of each minibatch, over all devices: two [minibatches]."""
+    """Shift and scale of the advantages of each minibatch, over all devices: two [minibatches]."""
     if not config.normalise_advantages:
         return jnp.zeros(config.minibatches, jnp.float32), jnp.ones(config.minibatches, jnp.float32)
     mean = _sum(advantages, is_counted, axis=1) / minibatch_size
@@ -331,7 +331,7 @@ def _gradient(
     minibatch_size: int,
     memory: dict[str, Array],
 ) -> tuple[Any, Array]:
-    """This device's share of the gradient of the mean loss, and of the means of LOSS_METRICS."""
+    """Share of this device in the gradient of the mean loss and in the means of LOSS_METRICS."""
     loss = minibatch_loss(program, now, obs, samples, minibatch_size, memory)
     gradient, (means, _) = jax.grad(loss, has_aux=True)(params)
     return gradient, means

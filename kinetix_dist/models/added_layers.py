@@ -24,7 +24,7 @@ _OPENS = {"gate_update_kernel": 1, "gate_stream_kernel": 1}
 
 
 def num_layers_of(params: Mapping[str, np.ndarray]) -> int:
-    """Of a transformer's parameters by path; 0 for other networks."""
+    """Number of layers in a transformer's parameters by path; 0 for other networks."""
     return 1 + max((int(match[2]) for name in params if (match := _OF_LAYER.search(name))), default=-1)
 
 

@@ -63,7 +63,7 @@ def _attend(qkv: Array, mask_words: Array) -> Array:
 
 
 def _log_sum_exp(qkv: Array, mask_words: Array) -> Array:
-    """Of a token's scores, [M, G, B, n] float32; 0 for one that looks at none."""
+    """Log-sum-exp of a token's scores, [M, G, B, n] float32; 0 for a token that looks at none."""
     words = mask_words[:, None]
     scores, highest = _scores(qkv, words)
     total = sum(_masked_exp(_bit(words, j), score - highest) for j, score in enumerate(scores))
@@ -112,7 +112,7 @@ def _wide(x: Array) -> list[Array]:
 
 
 def _features(qkv: Array) -> tuple[list[Array], ...]:
-    """Those of queries, of keys and of values: lists of D arrays [M, G, B, n] float32."""
+    """Features of queries, of keys and of values: lists of D arrays [M, G, B, n] float32."""
     return tuple(map(_wide, qkv))
 
 

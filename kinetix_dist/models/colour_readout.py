@@ -1,4 +1,4 @@
-"""Logits from what obeys them: a head reads the joints or thrusters of its colour, beside what the actor made of all.
+"""Logits from what obeys them: a head reads the joints or thrusters of its colour, next to the output of the actor.
 
     of a row of a joint      u = tanh(Dense([x_from, x_to, joint]))     two rows a joint, one from either end
     of a thruster            u = tanh(Dense([x_owner, thruster]))
@@ -37,15 +37,15 @@ def check_heads(head_sizes: Sequence[int]) -> None:
         )
 
 
-def sum_by_colour(told: Array, colours: Array) -> Array:
-    """[B, C, F] in the type of `told`, summed in float32, from told [B, K, F] and colours [B, K, C] float32, one-hot.
+def sum_by_colour(rows: Array, colours: Array) -> Array:
+    """[B, C, F] in the type of `rows`, summed in float32, from rows [B, K, F] and colours [B, K, C] float32, one-hot.
 
     A row without a colour is in no sum.
     """
-    total = jnp.zeros((told.shape[0], colours.shape[2], told.shape[2]), jnp.float32)
-    for row in range(told.shape[1]):
-        total = total + colours[:, row, :, None] * told[:, row, None].astype(jnp.float32)
-    return total.astype(told.dtype)
+    total = jnp.zeros((rows.shape[0], colours.shape[2], rows.shape[2]), jnp.float32)
+    for row in range(rows.shape[1]):
+        total = total + colours[:, row, :, None] * rows[:, row, None].astype(jnp.float32)
+    return total.astype(rows.dtype)
 
 
 class ColourReadOut(nn.Module):

@@ -138,7 +138,7 @@ class EntityTransformer(nn.Module):
         return encode(list(features.values()), list(kernels), list(biases), num_others, self.dtype)
 
     def _parts(self, obs: EntityObs) -> LayerParts:
-        """How the parts of a layer are computed."""
+        """Implementations of the parts of a layer."""
         layer = LayerShape(
             width=self.encoder_size,
             dtype=jnp.dtype(self.dtype).name,
@@ -169,7 +169,7 @@ class EntityTransformer(nn.Module):
         heads = (NUM_MASKS, self.num_heads // NUM_MASKS)
         arguments = (mask_words, kernel, bias, out_kernel, out_bias, heads)
         if self.gated:
-            return self._gate(name, *parts.beside_attention(x, *arguments), parts)
+            return self._gate(name, *parts.attention_branch(x, *arguments), parts)
         x, update = attention_update(x, *arguments)
         return x + update
 
@@ -179,7 +179,7 @@ class EntityTransformer(nn.Module):
         bias = self.param(f"{name}_bias", zeros, (size,), jnp.float32)
         kernel, bias = self._fold_norm(name, kernel, bias)
         if self.gated:
-            return self._gate(name, *parts.beside_feed_forward(x, kernel, bias), parts)
+            return self._gate(name, *parts.feed_forward_branch(x, kernel, bias), parts)
         x, update = feed_forward_update(x, kernel, bias)
         out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (size, size), jnp.float32)
         out_bias = self.param(f"{name}_out_bias", zeros, (size,), jnp.float32)
@@ -211,7 +211,7 @@ class EntityTransformer(nn.Module):
     def _message_terms(
         self, name: str, entities: Array, parts: LayerParts, *, num_ends: int
     ) -> tuple[list[Array], list[Array]]:
-        """Of each layer: the kernel for the tokens at the ends [ends E, E], and the entities' terms [B, K, E]."""
+        """Message terms of each layer: the kernel for tokens at the ends [ends E, E], the entities' terms [B, K, E]."""
         size, layers = self.encoder_size, range(self.num_layers)
         kernels = [
             self.param(f"{name}_{layer}_kernel", lecun_normal(), ((num_ends + 1) * size, size), jnp.float32)
@@ -266,7 +266,7 @@ def limit_queries_and_keys(kernel: Array, bias: Array, num_heads: int, max_norm:
 
 
 def _token_masks(shape_mask: Array, attention_masks: Array) -> tuple[Array, Array]:
-    """Which tokens exist [B, n + 1], and whom each may look at, [4, B, n + 1] uint32 words; the dummy is the last."""
+    """Masks: tokens that exist [B, n + 1], tokens that each may look at [4, B, n + 1] uint32; the dummy is last."""
     token_mask = jnp.pad(shape_mask, ((0, 0), (0, 1)), constant_values=True)
     dummy_bit = jnp.uint32(1) << jnp.uint32(shape_mask.shape[1])
     words = pack_mask(attention_masks) | jnp.where(shape_mask, dummy_bit, 0).astype(jnp.uint32)[:, None]

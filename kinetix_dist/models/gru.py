@@ -11,7 +11,7 @@ A policy with a memory is applied in one of two ways:
     policy.apply(params, obs, memory)              one step of B worlds -> (outputs, value, next memory)
     policy.apply(params, obs, is_first=is_first)   T steps of B worlds, T B rows of obs -> (outputs, value)
 
-The second starts from zero: rollouts begin with episodes. `initial_memory`, `act` and `forget` are for whoever plays;
+The second starts from zero: rollouts begin with episodes. `initial_memory`, `act` and `reset_memory` are for playing;
 they take policies without memory too.
 """
 
@@ -55,7 +55,7 @@ class Gru(nn.Module):
 
             def next_step(memory: Array, at: tuple[Array, Array]) -> tuple[Array, Array]:
                 given, is_first = at
-                memory = step(forget(memory, is_first), given)
+                memory = step(reset_memory(memory, is_first), given)
                 return memory, memory
 
             zeros = jnp.zeros((is_first.shape[1], self.size), jnp.float32)
@@ -75,7 +75,7 @@ def _orthogonal_gates(key: Array, shape: tuple[int, int], dtype: Any = jnp.float
 
 
 def apply_towers(towers: nn.Module, embedding: Array, memory: Array | None, is_first: Array | None, size: int) -> Any:
-    """What a network gives for its embedding: (outputs, value), and the next memory where one was given.
+    """Outputs of a network for its embedding: (outputs, value), and the next memory where one was given.
 
     size: of the memory; 0: none. Called inside of a compact network.
     """
@@ -87,7 +87,7 @@ def apply_towers(towers: nn.Module, embedding: Array, memory: Array | None, is_f
 
 
 def has_memory(policy: Any) -> bool:
-    """Of a network of one's own that does not say, no."""
+    """The network has a memory; False for one of a plugin that does not say."""
     return getattr(policy, "memory_size", 0) > 0
 
 
@@ -103,6 +103,6 @@ def act(policy: Any, params: Any, obs: Any, memory: Array | None) -> tuple[Any, 
     return policy.apply(params, obs, memory)
 
 
-def forget(memory: Array | None, done: Array) -> Array | None:
+def reset_memory(memory: Array | None, done: Array) -> Array | None:
     """Zero for the worlds [W] whose episode ended."""
     return None if memory is None else jnp.where(done[:, None], 0.0, memory)

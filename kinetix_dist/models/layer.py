@@ -17,7 +17,7 @@ from jax2d.scene import Array
 from kinetix_dist.models.attention import attend
 from kinetix_dist.models.contraction import contract, linear
 from kinetix_dist.models.gate import gate
-from kinetix_dist.models.norms import beside_norm
+from kinetix_dist.models.norms import norm_branch
 from kinetix_dist.models.rows import add_rows, take_rows
 
 if TYPE_CHECKING:
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class LayerParts:
-    """`beside_...` give the stream as well, for what goes on beside its norm: the gradients of both are added there."""
+    """Parts of a layer. A `..._branch` gives the stream, too: gradients of stream and branch are added there."""
 
     # (features of groups, their kernels, their biases, number of others, type) -> tokens of all groups, then ones
     encode: Callable[..., Array]
     # (x, mask words, kernel, bias, kernel of the output, bias of it, heads) -> x, relu(attention(normalise(x)))
-    beside_attention: Callable[..., tuple[Array, Array]]
+    attention_branch: Callable[..., tuple[Array, Array]]
     # (x, kernel, bias) -> x, relu(normalise(x) kernel + bias)
-    beside_feed_forward: Callable[..., tuple[Array, Array]]
+    feed_forward_branch: Callable[..., tuple[Array, Array]]
     # (x, y, parameters of the gate) -> x with y let in, see gate.py
     gate: Callable[..., Array]
     # (observation) -> ends of joints and thrusters, for the next
@@ -59,7 +59,7 @@ def encode_with_ids(
     num_others: int,
     dtype: Any,
 ) -> Array:
-    """As `LayerParts.encode`, with the number of a group as the last one of its tokens."""
+    """Encoding by `LayerParts.encode`, with the number of a group as the last one of its tokens."""
     groups = zip(kind_ids, features, kernels, biases, strict=True)
     tokens = [
         jnp.concatenate(
@@ -91,7 +91,7 @@ def attention_update(
     [E]; mask_words: [M, B, n], see attention.py. heads: (M masks, heads a mask); their features are F / heads."""
     size, features = kernel.shape[0], out_kernel.shape[0]
     shape = (*heads, features // (heads[0] * heads[1]))
-    x, normal = beside_norm(x)
+    x, normal = norm_branch(x)
     # Features first, [3 features, B, n]: attention runs over worlds and tokens, the features of a head slowest.
     kernel = _feature_slowest(kernel.reshape(size, 3, *shape), 4).reshape(size, -1)
     bias = _feature_slowest(bias.reshape(3, *shape), 3).reshape(-1)
@@ -103,11 +103,11 @@ def attention_update(
 
 def feed_forward_update(x: Array, kernel: Array, bias: Array) -> tuple[Array, Array]:
     """`x`, and relu(normalise(x) kernel + bias)."""
-    x, normal = beside_norm(x)
+    x, normal = norm_branch(x)
     return x, jax.nn.relu(linear(normal, kernel) + bias.astype(x.dtype))
 
 
-def _beside_attention(x: Array, *arguments: Any) -> tuple[Array, Array]:
+def _attention_branch(x: Array, *arguments: Any) -> tuple[Array, Array]:
     x, update = attention_update(x, *arguments)
     return x, jax.nn.relu(update)
 
@@ -156,8 +156,8 @@ def _messages(x: Array, ends: Array, kernel: Array, terms: Array, mask: Array) -
 
 XLA = LayerParts(
     encode=_encode,
-    beside_attention=_beside_attention,
-    beside_feed_forward=feed_forward_update,
+    attention_branch=_attention_branch,
+    feed_forward_branch=feed_forward_update,
     gate=gate,
     ends=_ends,
     add_messages=_add_messages,

@@ -94,7 +94,7 @@ class VaeLevels:
     config: VaeConfig
 
     def generate(self, key: Array, num_levels: int) -> Level:
-        """Each between two levels of the set. Should more than half of what is drawn overlap, the last ones kept do."""
+        """Each between two levels of the set. Where more than half of the draws overlap, the last ones returned do."""
         pair_key, share_key, order_key = prng.split(key, 3)
         num_drawn = OVERSAMPLING * num_levels
         first, second = prng.randint(pair_key, (2, num_drawn), 0, self.latents.shape[0])
@@ -104,7 +104,7 @@ class VaeLevels:
         return keep_unsolved(drawn, overlaps, num_levels)
 
     def reconstruct(self, key: Array, levels: Level) -> Level:
-        """From the means of their latents. The key orders slots."""
+        """Levels from the means of their latents. The key orders slots."""
         mean, _ = self._network.apply(self.params, _vectors(levels, self.capacity, self.generator), method=Vae.encode)
         return self.decode(key, mean)
 

@@ -41,8 +41,8 @@ def normalise(x: Array) -> Array:
 
 
 @jax.custom_vjp
-def beside_norm(x: Array) -> tuple[Array, Array]:
-    """`x` and `normalise(x)`, for a stream that goes on beside its norm: one loop adds up the gradients of both."""
+def norm_branch(x: Array) -> tuple[Array, Array]:
+    """`x` and `normalise(x)`, for the stream and its branch: one loop adds up the gradients of both."""
     return x, normalise(x)
 
 
@@ -58,12 +58,12 @@ def _normalise_backward(residuals: tuple[Array, Array], grad: Array) -> tuple[Ar
     return (_as(grad, _grad_of_rows(residuals, grad)),)
 
 
-def _beside_norm_forward(x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def _norm_branch_forward(x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     normal, residuals = _normalise_forward(x)
     return (x, normal), residuals
 
 
-def _beside_norm_backward(residuals: tuple[Array, Array], grads: tuple[Array, Array]) -> tuple[Array]:
+def _norm_branch_backward(residuals: tuple[Array, Array], grads: tuple[Array, Array]) -> tuple[Array]:
     of_stream, of_norm = grads
     return (_as(of_stream, _stored_rows(of_stream) + _grad_of_rows(residuals, of_norm)),)
 
@@ -87,4 +87,4 @@ def _as(like: Array, rows: Array) -> Array:
 
 
 normalise.defvjp(_normalise_forward, _normalise_backward)
-beside_norm.defvjp(_beside_norm_forward, _beside_norm_backward)
+norm_branch.defvjp(_norm_branch_forward, _norm_branch_backward)

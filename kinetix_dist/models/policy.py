@@ -1,4 +1,4 @@
-"""Which network a policy is, and how large: `PolicyConfig`, `make_policy`, `init_params`.
+"""Networks of policies: `PolicyConfig`, `make_policy`, `init_params`.
 
 policy = make_policy(PolicyConfig(dtype="bfloat16"), env.action_space.distribution.head_sizes)
 params = init_params(policy, obs, key)
@@ -34,7 +34,7 @@ DTYPES = {"float32": jnp.float32, "bfloat16": jnp.bfloat16}
 
 @dataclasses.dataclass(frozen=True)
 class Network:
-    """A kind of network and how it is built."""
+    """Kind of network: its input and how it is built."""
 
     takes: str  # the kind of policy input, see `Observation.gives`
     build: Callable[[PolicyConfig, tuple[int, ...]], nn.Module]  # (config, sizes of the heads) -> a flax module

@@ -1,4 +1,4 @@
-"""Which results a GPU stores before they are used.
+"""Results that a GPU stores before they are used.
 
 XLA fuses what it can, also where a loop then computes the same number many times over or cuts an array across its rows:
 kernels of norms, sums over a batch and means took up to ten times as long as their traffic (bench/step_profile.py).

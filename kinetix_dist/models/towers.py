@@ -41,7 +41,7 @@ class Towers(nn.Module):
     def __call__(
         self, embedding: Array, by_colour: tuple[Array, Array] | None = None
     ) -> tuple[tuple[Array, ...], Array]:
-        """by_colour: what is told of motor colours and of thruster colours, where heads read it (colour_readout.py)."""
+        """by_colour: read-outs of motor colours and of thruster colours, where heads read these (colour_readout.py)."""
         both = jnp.broadcast_to(embedding, (2, *embedding.shape))  # actor, critic
         for layer in range(self.hidden_layers):
             shape = (2, both.shape[-1], self.hidden_size)

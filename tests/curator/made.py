@@ -36,7 +36,7 @@ def curriculum_of(
 
 
 def played(levels: jax.Array, key: jax.Array, num_episodes: int) -> LevelOutcome:
-    """Of levels that are the chances with which the policy solves them, as its value function says."""
+    """Outcome of levels that are the chances with which the policy solves them, as its value function says."""
     solved = jax.random.uniform(key, (num_episodes, levels.size)) < levels
     none = no_outcomes(levels.size)
     return dataclasses.replace(

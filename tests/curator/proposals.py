@@ -1,11 +1,11 @@
-"""What curricula propose for groups of worlds, for tests."""
+"""Proposals of curricula for groups of worlds, for tests."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from kinetix_dist.curator.config import CurriculumConfig
-from kinetix_dist.curator.level_buffer import keep_best, scored
+from kinetix_dist.curator.level_buffer import Candidates, keep_best, scored
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import SIZES
 from tests.curator.made import curriculum_of
@@ -32,8 +32,8 @@ def buffer_of(seed, num_solved, num_finished):
     levels = generate_levels(jax.random.key(seed), size, CAPACITY, CurriculumConfig().generator)
     counts = np.array(num_solved), np.full(size, num_finished)
 
-    def pick(places):
-        return jax.tree.map(lambda x: x[places], levels)
+    def pick(slots):
+        return jax.tree.map(lambda x: x[slots], levels)
 
-    others = {"features": np.zeros((size, 1), np.uint8), "size": size, "policy_version": 0}
-    return keep_best([scored(pick, np.arange(size), *counts, **others)], size)
+    candidates = Candidates(np.arange(size), *counts, np.zeros((size, 1), np.uint8))
+    return keep_best([scored(candidates, pick, size=size, policy_version=0)], size)

@@ -1,4 +1,4 @@
-"""What ACCEL prefers, on levels of known difficulty: a level is the chance that the policy solves it."""
+"""ACCEL's preferences on levels of known difficulty: a level is the chance that the policy solves it."""
 
 import jax
 import jax.numpy as jnp
@@ -56,7 +56,7 @@ def _run(curriculum, num_updates):
 
 
 def test_it_grows_levels_that_the_generator_never_draws():
-    """By failure: children of the hardest are harder still. Robust PLR has only what is drawn."""
+    """Scored by failure: children of the hardest are harder still. Robust PLR has only what is drawn."""
     _, grown, _ = _run(_curriculum(), 60)
     _, drawn, _ = _run(_curriculum("robust_plr"), 60)
     assert drawn.min() > EASIEST_HARD - 1e-6
@@ -68,7 +68,7 @@ def _children(levels):
 
 
 def test_a_quarter_of_the_worlds_plays_children_of_what_the_group_replays_from_the_first_update_on():
-    """In the first one fresh levels are repeated, and changed."""
+    """Fresh levels are repeated and changed in the first update."""
     _, _, proposals = _run(_curriculum(edited_share=0.5), 4)
     for levels in proposals:
         replayed, children = levels[:, : PER_GROUP // 2], _children(levels)
@@ -76,23 +76,23 @@ def test_a_quarter_of_the_worlds_plays_children_of_what_the_group_replays_from_t
         assert (children != replayed[:, : children.shape[1]]).all()
         assert (levels[:, 3 * PER_GROUP // 4 :] >= EASIEST_HARD).all()
     fresh = proposals[0][:, 3 * PER_GROUP // 4 :]
-    # The same numbers, worked out in two places of a program: the compiler rounds each in its own way.
+    # The same numbers, worked out in two parts of a program: the compiler rounds each in its own way.
     np.testing.assert_allclose(proposals[0][:, : PER_GROUP // 2], np.tile(fresh, 2), rtol=1e-6)
 
 
 def test_no_fresh_level_is_drawn_that_is_not_played():
     """Twice as many of each kind are drawn as are played: the others solve themselves, or are spare."""
-    asked = []
+    requested = []
 
     class Counting(_Tools):
         def draw_fresh(self, group_keys, levels_per_group):
-            asked.append(levels_per_group)
+            requested.append(levels_per_group)
             return super().draw_fresh(group_keys, levels_per_group)
 
     config = CurriculumConfig(name="accel", plr=PlrConfig(score="failure"), accel=AccelConfig(edited_share=0.5))
     curriculum = curriculum_of(config, PER_GROUP, Counting, solves_itself=lambda levels: levels > 2.0)
     _propose(curriculum, empty_buffer(jnp.zeros(()), PLACES), 0)
-    assert asked == [PER_GROUP // 4]
+    assert requested == [PER_GROUP // 4]
 
 
 def test_children_that_solve_themselves_are_left_out_while_there_are_others():

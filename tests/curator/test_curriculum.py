@@ -1,4 +1,4 @@
-"""What a curriculum proposes: a share from the buffer, the rest fresh, the same however worlds are spread."""
+"""Proposals of curricula: a share from the buffer, the rest fresh, the same however worlds are spread."""
 
 import jax
 import jax.numpy as jnp
@@ -38,8 +38,8 @@ def mixed_buffer():
 def test_sfl_plays_measures_and_probes_all_levels_of_its_buffer(mixed_buffer):
     config = CurriculumConfig()
     played = propose(config, range(30), mixed_buffer).position.reshape(30, PER_GROUP, -1)[:, :2].reshape(60, -1)
-    places = {int(np.abs(mixed_buffer.levels.position.reshape(6, -1) - one).sum(1).argmin()) for one in played}
-    assert places == set(range(6))
+    slots = {int(np.abs(mixed_buffer.levels.position.reshape(6, -1) - one).sum(1).argmin()) for one in played}
+    assert slots == set(range(6))
     curriculum = curriculum_of(config, PER_GROUP, capacity=CAPACITY)
     assert float(curriculum.metrics(mixed_buffer, 3)["curriculum/learnability"]) == pytest.approx((0.25 + 0.1875) / 6)
     assert set(curriculum.probe(mixed_buffer, 6).index.tolist()) == set(range(6))

@@ -9,11 +9,11 @@ from kinetix_dist.curator.config import SlicesConfig
 from kinetix_dist.curator.halving import Halving, _best, num_launches
 
 SIZE = 384
-ATTEMPTS, KEPT = (2, 8, 24), SlicesConfig().kept(SIZE)
+ATTEMPTS, KEPT = (2, 8, 24), SlicesConfig().num_in_rounds(SIZE)
 
 
 def _chances(rng, shape):
-    """As random levels have it: most are never solved, some always, p(1 - p) has a mean of about .06."""
+    """Chances of random levels: most are never solved, some always, p(1 - p) has a mean of about .06."""
     kind = rng.random(shape)
     return np.where(kind < 0.55, 0.0, np.where(kind < 0.72, 1.0, rng.beta(0.6, 0.9, shape)))
 
@@ -29,7 +29,7 @@ def tried():
 
     def one(p, key):
         found = halving(lambda number, key: play(p, number, key), key)
-        return found.num_solved, found.num_attempts, found.kept
+        return found.num_solved, found.num_attempts, found.finalists
 
     keys = jax.random.split(jax.random.key(1), len(chances))
     found = [one(jnp.asarray(p), key) for p, key in zip(chances, keys, strict=True)]
@@ -47,9 +47,9 @@ def test_the_better_ones_go_on_however_often_they_were_tried():
 def test_a_third_and_then_half_of_it_go_on(tried):
     _, _, attempts, kept = tried
     assert KEPT == (384, 128, 64)
-    for batch, places in zip(attempts, kept, strict=True):
+    for batch, slots in zip(attempts, kept, strict=True):
         assert {count: int((batch == count).sum()) for count in ATTEMPTS} == {2: 256, 8: 64, 24: 64}
-        assert sorted(places) == np.flatnonzero(batch == 24).tolist()
+        assert sorted(slots) == np.flatnonzero(batch == 24).tolist()
 
 
 def test_certain_levels_are_counted_exactly(tried):
@@ -67,7 +67,7 @@ def _numpy_halving(p, rng):
     all_eight = dict(zip(order[:128].tolist(), eight.tolist(), strict=True))
     last = np.array([all_eight[c] for c in chosen.tolist()]) + rng.binomial(16, p[chosen])
     best = chosen[np.argsort(-last * (24 - last), kind="stable")[:32]]
-    return tuple((p[places] * (1 - p[places])).mean() for places in (best, two_alone))
+    return tuple((p[slots] * (1 - p[slots])).mean() for slots in (best, two_alone))
 
 
 def test_what_is_chosen_is_as_learnable_as_in_a_simulation_and_more_than_by_two_attempts(tried):
@@ -86,16 +86,16 @@ def test_what_is_chosen_is_as_learnable_as_in_a_simulation_and_more_than_by_two_
 
 
 def test_attempts_that_candidates_had_before_are_not_played_again():
-    asked = []
+    requested = []
 
     def play(number, key):
         del key
-        asked.append(np.asarray(number))
+        requested.append(np.asarray(number))
         return jnp.zeros(len(number), jnp.int32)
 
     found = Halving(6, (2, 4), (6, 2))(play, jax.random.key(0), num_solved=1, num_known=1)
     # One attempt of all six, then two more of the two that are kept: four worlds, of a launch of six.
-    assert [launch.tolist() for launch in asked] == [[0, 1, 2, 3, 4, 5], [0, 0, 1, 1, 0, 0]]
+    assert [launch.tolist() for launch in requested] == [[0, 1, 2, 3, 4, 5], [0, 0, 1, 1, 0, 0]]
     np.testing.assert_array_equal(found.num_attempts, [4, 4, 2, 2, 2, 2])
     np.testing.assert_array_equal(found.num_solved, 1)
     assert num_launches((2, 4), (6, 2)) == 2 + 1

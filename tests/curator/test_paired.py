@@ -73,7 +73,7 @@ ALL_GROUPS = jnp.arange(GROUPS)
 
 
 def _outcome(mean_return, max_return, num_episodes=2):
-    """Of worlds [W] whose students are scripted; a second student's trajectory of no steps."""
+    """Outcome of worlds [W] whose students are scripted; a second student's trajectory of no steps."""
     none, no_steps = no_outcomes(mean_return.size), jnp.zeros((mean_return.size // 2, 0))
     trajectory = Trajectory(
         dynamic_obs=no_steps,

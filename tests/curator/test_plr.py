@@ -1,4 +1,4 @@
-"""What PLR prefers, on levels of known difficulty: a level is the chance that the policy solves it."""
+"""PLR's preferences on levels of known difficulty: a level is the chance that the policy solves it."""
 
 import dataclasses
 
@@ -77,12 +77,12 @@ def test_learnability_is_that_of_a_level_and_not_of_each_world_that_played_it():
     solved = jnp.arange(GROUPS * PER_GROUP) % 3 == 0
     outcome = dataclasses.replace(outcome, num_solved=solved.astype(int))
     after = jax.jit(training.curriculum.observe)(state, proposal, outcome)
-    place, is_replayed = np.asarray(proposal.tags["place"]), ~np.asarray(proposal.tags["is_new"])
-    places = np.unique(place[is_replayed])
-    p = np.array([np.asarray(solved)[is_replayed & (place == one)].mean() for one in places])
+    slot, is_replayed = np.asarray(proposal.tags["slot"]), ~np.asarray(proposal.tags["is_new"])
+    slots = np.unique(slot[is_replayed])
+    p = np.array([np.asarray(solved)[is_replayed & (slot == one)].mean() for one in slots])
     assert (p * (1 - p) > 0).any()
-    is_there = np.asarray(after.born == state.born)[places]
-    np.testing.assert_allclose(np.asarray(after.score)[places][is_there], (p * (1 - p))[is_there], atol=1e-6)
+    is_there = np.asarray(after.born == state.born)[slots]
+    np.testing.assert_allclose(np.asarray(after.score)[slots][is_there], (p * (1 - p))[is_there], atol=1e-6)
 
 
 def test_by_failure_it_plays_what_is_hardly_ever_solved(by_failure):
@@ -91,7 +91,7 @@ def test_by_failure_it_plays_what_is_hardly_ever_solved(by_failure):
 
 
 def test_by_max_mc_it_plays_what_was_solved_once_and_is_hardly_expected_to_be():
-    """With a value function that is right: R = 1 once solved, V = p. A level that nobody ever solved scores -p < 0."""
+    """The value function is right here: R = 1 once solved, V = p. A level that was never solved scores -p < 0."""
     state, replayed = _Training(score="max_mc", staleness=0.1).run(40)
     assert 0.02 < np.median(replayed) < 0.25
     assert (np.asarray(state.best_return) == 1.0).mean() > 0.9
@@ -114,7 +114,7 @@ def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn(by_fail
 
 
 def test_what_became_of_a_level_that_lost_its_place_changes_nothing_of_the_one_that_took_it(by_failure):
-    """In the split placement a batch is proposed before the one ahead of it was seen."""
+    """A batch is proposed before the one ahead of it was seen, in the split placement."""
     state, _ = by_failure.run(3)
     late = by_failure.propose(state, 3)
     all_born_since = dataclasses.replace(state, born=state.born + 100, score=state.score + 5.0)

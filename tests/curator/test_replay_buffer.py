@@ -1,4 +1,4 @@
-"""Chances, scores and places of the replay buffer, by hand-worked cases of the published formulas."""
+"""Chances, scores and slots of the replay buffer, by hand-worked cases of the published formulas."""
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from kinetix_dist.curator.replay_buffer import (
     UNKNOWN,
     ReplayBuffer,
     empty_buffer,
-    mean_by_place,
+    mean_by_slot,
     played_again,
     replay_chances,
     taken_in,
@@ -20,7 +20,7 @@ from kinetix_dist.curator.replay_buffer import (
 
 
 def _buffer(score, *, last_played=None, born=None, num_updates=10):
-    """Level i is the number 100 + i; a score of UNKNOWN is an empty place."""
+    """Level i is the number 100 + i; a score of UNKNOWN is an empty slot."""
     score = jnp.asarray(score, jnp.float32)
     zeros = jnp.zeros(score.size, jnp.int32)
     return ReplayBuffer(
@@ -62,27 +62,27 @@ def test_empty_places_are_never_drawn(config):
 
 def test_a_level_gets_the_mean_score_of_the_worlds_that_played_it():
     buffer = _buffer([0.5, 0.5, 0.5], last_played=[1, 1, 1])
-    place, score = jnp.array([2, 0, 2, 0]), jnp.array([0.1, UNKNOWN, 0.3, 0.9])
-    after = played_again(buffer, place, score, jnp.array([True, True, True, False]))
-    np.testing.assert_allclose(after.score, [0.5, 0.5, 0.2])  # of place 0 nothing is known: it keeps its score
+    slot, score = jnp.array([2, 0, 2, 0]), jnp.array([0.1, UNKNOWN, 0.3, 0.9])
+    after = played_again(buffer, slot, score, jnp.array([True, True, True, False]))
+    np.testing.assert_allclose(after.score, [0.5, 0.5, 0.2])  # of slot 0 nothing is known: it keeps its score
     np.testing.assert_array_equal(after.last_played, [10, 1, 10])
 
 
 def test_the_best_return_of_a_level_is_that_of_all_its_worlds_so_far():
     buffer = _buffer([0.5, 0.1])  # best returns are the same numbers
-    place, is_there = jnp.array([0, 1, 1, 1]), jnp.array([True, True, True, False])
-    after, of_world = with_returns(buffer, place, jnp.array([0.2, UNKNOWN, 0.7, 0.9]), is_there)
+    slot, is_there = jnp.array([0, 1, 1, 1]), jnp.array([True, True, True, False])
+    after, of_world = with_returns(buffer, slot, jnp.array([0.2, UNKNOWN, 0.7, 0.9]), is_there)
     np.testing.assert_allclose(after.best_return, [0.5, 0.7])
     np.testing.assert_allclose(of_world, [0.5, 0.7, 0.7, 0.9])
 
 
 def test_means_by_place_are_those_of_numpy():
     random = np.random.default_rng(0)
-    place, value = random.integers(0, 8, 50), random.random(50).astype(np.float32)
-    mean, is_known = jax.jit(mean_by_place, static_argnums=2)(jnp.asarray(place), jnp.asarray(value), 7)  # 7: none
+    slot, value = random.integers(0, 8, 50), random.random(50).astype(np.float32)
+    mean, is_known = jax.jit(mean_by_slot, static_argnums=2)(jnp.asarray(slot), jnp.asarray(value), 7)  # 7: none
     for number in range(7):
-        assert is_known[number] == (place == number).any()
-        assert float(mean[number]) == pytest.approx(value[place == number].mean(), rel=1e-6)
+        assert is_known[number] == (slot == number).any()
+        assert float(mean[number]) == pytest.approx(value[slot == number].mean(), rel=1e-6)
 
 
 def test_the_best_new_levels_take_empty_places_and_then_those_least_likely_to_be_played():
@@ -90,7 +90,7 @@ def test_the_best_new_levels_take_empty_places_and_then_those_least_likely_to_be
     buffer = _buffer([0.5, UNKNOWN, 0.1, 0.3])
     levels, is_new = jnp.arange(5), jnp.array([True, True, True, True, False])
     after = taken_in(buffer, levels, jnp.array([0.2, 0.6, 0.4, 0.05, 0.9]), jnp.arange(5.0), is_new, config)
-    # 0.6 -> the empty place; 0.4 > 0.1; 0.2 < 0.3 stays out, as does what is not new
+    # 0.6 -> the empty slot; 0.4 > 0.1; 0.2 < 0.3 stays out, as does what is not new
     np.testing.assert_array_equal(after.levels, [100, 1, 2, 103])
     np.testing.assert_allclose(after.score, [0.5, 0.6, 0.4, 0.3])
     np.testing.assert_allclose(after.best_return, [0.5, 1.0, 2.0, 0.3])
@@ -103,7 +103,7 @@ def test_a_level_that_nobody_played_for_long_is_likely_and_keeps_its_place():
     np.testing.assert_array_equal(after.levels, [100, 0])  # chances: .9 x 10/11 for the old one
 
 
-def test_new_levels_of_which_nothing_is_known_take_no_place():
+def test_new_levels_of_which_nothing_is_known_take_no_slot():
     buffer = empty_buffer(jnp.zeros((), jnp.int32), 3)
     score = jnp.array([UNKNOWN, jnp.nan])
     after = taken_in(buffer, jnp.arange(2), score, score, jnp.ones(2, bool), PlrConfig())

@@ -53,7 +53,7 @@ def test_nothing_is_claimed_of_how_often_a_level_is_solved_that_no_episode_ended
 
 
 def test_the_rate_of_a_level_is_the_mean_of_the_worlds_that_finished_an_episode_of_it():
-    """Worlds 0 to 2 play the level of place 1, world 3 that of place 0, 4 and 5 fresh levels of their own."""
-    place, is_there = jnp.array([1, 1, 1, 0, 0, 0]), jnp.array([True, True, True, True, False, False])
-    rates = level_rates(place, is_there, jnp.array([1, 1, 0, 0, 2, 0]), jnp.array([1, 4, 0, 0, 4, 0]), 3)
+    """Worlds 0 to 2 play the level of slot 1, world 3 that of slot 0, 4 and 5 fresh levels of their own."""
+    slot, is_there = jnp.array([1, 1, 1, 0, 0, 0]), jnp.array([True, True, True, True, False, False])
+    rates = level_rates(slot, is_there, jnp.array([1, 1, 0, 0, 2, 0]), jnp.array([1, 4, 0, 0, 4, 0]), 3)
     np.testing.assert_allclose(rates, [0.625, 0.625, 0.625, UNKNOWN, 0.5, UNKNOWN])

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from kinetix_dist.curator.level_buffer import buffer_metrics, keep_best, scored
+from kinetix_dist.curator.level_buffer import Candidates, buffer_metrics, keep_best, scored
 from kinetix_dist.curator.scores import exact_keys, learnability, solve_rate
 
 
@@ -26,8 +26,8 @@ def test_nothing_is_claimed_of_a_level_without_a_finished_episode():
 def _scored(candidate, solved, finished, size=4):
     """A level is its number."""
     counts = np.asarray(solved)[candidate], np.asarray(finished)[candidate]
-    others = {"features": np.stack([candidate], axis=1).astype(np.uint8), "size": size, "policy_version": 7}
-    return scored(lambda places: {"number": candidate[places]}, candidate, *counts, **others)
+    candidates = Candidates(candidate, *counts, np.stack([candidate], axis=1).astype(np.uint8))
+    return scored(candidates, lambda index: {"number": candidate[index]}, size=size, policy_version=7)
 
 
 def test_the_most_learnable_are_kept_and_ties_prefer_the_higher_solve_rate():
@@ -60,7 +60,7 @@ def test_the_same_are_kept_however_candidates_are_shared_out(num_parts):
 
 
 def test_equal_learnability_prefers_the_higher_solve_rate_of_any_numbers_of_episodes():
-    """In float32 p (1 - p) of p and of 1 - p differ by rounding, and 135 pairs came in the other order."""
+    """p (1 - p) of p and of 1 - p differ by rounding in float32: 135 pairs came in the other order."""
     finished, solved = (x.reshape(-1) for x in np.meshgrid(np.arange(65), np.arange(65), indexing="ij"))
     finished, solved = finished[solved <= finished], solved[solved <= finished]
     count = len(finished)

@@ -1,4 +1,4 @@
-"""What `sfl_slices` proposes, scores and keeps, on levels that are the chance with which the policy solves them."""
+"""Proposals, scores and buffer of `sfl_slices` on levels that are the chance with which the policy solves them."""
 
 import dataclasses
 
@@ -77,10 +77,10 @@ def test_a_refresh_is_the_same_however_many_share_it(curriculum, version, num_pa
 
 def test_half_of_a_group_plays_the_buffer_and_its_plays_are_counted(after_four):
     state, proposal = after_four
-    place = np.asarray(proposal.tags["place"]).reshape(GROUPS, PER_GROUP)
-    assert (place[:, :4] >= 0).all() and (place[:, 4:] == -1).all()
+    slot = np.asarray(proposal.tags["slot"]).reshape(GROUPS, PER_GROUP)
+    assert (slot[:, :4] >= 0).all() and (slot[:, 4:] == -1).all()
     np.testing.assert_array_equal(
-        np.asarray(proposal.levels).reshape(GROUPS, PER_GROUP)[:, :4], state.levels[place[:, :4]]
+        np.asarray(proposal.levels).reshape(GROUPS, PER_GROUP)[:, :4], state.levels[slot[:, :4]]
     )
     assert state.num_plays.sum() == 4 * GROUPS * PER_GROUP // 2 and state.num_updates == 4
 
@@ -89,11 +89,11 @@ def test_fresh_levels_that_were_solved_have_had_one_attempt(curriculum, after_fo
     state, _ = after_four
     given = jax.device_get(curriculum.refresh_input(state))
     assert given["count"] == BATCH  # 64 fresh levels, half of them solved
-    asked = []
+    requested = []
     counted = curriculum._play
 
     def play(params, levels, number, key):
-        asked.append(np.asarray(levels))
+        requested.append(np.asarray(levels))
         return counted(params, levels, number, key)
 
     curriculum._play = play
@@ -101,7 +101,7 @@ def test_fresh_levels_that_were_solved_have_had_one_attempt(curriculum, after_fo
         part = curriculum.refresh_part(None, 4, jax.random.key(4), 0, 1, given)
     finally:
         curriculum._play = counted
-    is_harvested = [np.array_equal(levels, given["levels"]) for levels in asked]
+    is_harvested = [np.array_equal(levels, given["levels"]) for levels in requested]
     # One launch less for the batch from training: 1 + 3 of it, 2 + 3 of the other.
     assert is_harvested == [True] * 4 + [False] * 5
     assert (part.num_solved[:BATCH] >= 1).all() and set(part.num_finished.tolist()) == {2, 8}

@@ -15,7 +15,7 @@ from kinetix_dist.curator.slice_buffer import (
     NEVER,
     OUT_OF_REACH,
     Harvest,
-    draw_places,
+    draw_slots,
     filled,
     harvested,
     learnability_now,
@@ -48,10 +48,10 @@ def buffer():
 
 
 def _after(buffer, *plays):
-    """plays: of each update, [(place, solved), ...]."""
+    """plays: of each update, [(slot, solved), ...]."""
     for update in plays:
-        place, solved = np.array(update, np.int32).T
-        buffer = played(buffer, jnp.asarray(place), jnp.asarray(solved), jnp.asarray(place >= 0), CONFIG)
+        slot, solved = np.array(update, np.int32).T
+        buffer = played(buffer, jnp.asarray(slot), jnp.asarray(solved), jnp.asarray(slot >= 0), CONFIG)
     return jax.device_get(buffer)
 
 
@@ -82,7 +82,7 @@ def test_levels_that_left_are_not_drawn_and_go_first_then_the_oldest(buffer):
     newer = with_slice(buffer, _chosen([20, 21], 8))  # nothing left: the oldest, of equals the first
     assert newer.levels.tolist() == [20, 21, 12, 13, 14]
     left = _after(newer, [(1, 1)] * 4 + [(3, 0)] * 4 + [(2, 1)])
-    drawn = draw_places(jax.random.key(0), left, 256)
+    drawn = draw_slots(jax.random.key(0), left, 256)
     assert set(np.asarray(drawn).tolist()) == {0, 2, 4}
     last = with_slice(left, _chosen([30, 31], 16))
     assert last.levels.tolist() == [20, 31, 12, 30, 14]
@@ -96,7 +96,7 @@ def test_levels_that_left_are_not_drawn_and_go_first_then_the_oldest(buffer):
 
 def test_where_every_level_has_left_all_are_drawn(buffer):
     left = dataclasses.replace(buffer, status=np.full(5, MASTERED, np.int8))
-    assert set(np.asarray(draw_places(jax.random.key(0), left, 256)).tolist()) == set(range(5))
+    assert set(np.asarray(draw_slots(jax.random.key(0), left, 256)).tolist()) == set(range(5))
 
 
 def test_the_newest_solved_levels_are_candidates():

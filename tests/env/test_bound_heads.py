@@ -1,4 +1,4 @@
-"""Which action heads a level obeys: what the engine does when a head changes; what leaving the others out changes."""
+"""Bound action heads: the engine's response when a head changes; effect of leaving the others out."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_each_head_that_is_bound_moves_something(played):
 
 
 def test_leaving_out_unbound_heads_keeps_the_expected_gradient():
-    """By enumeration of all actions: of E[A grad log p] where A depends on bound heads alone, and of the entropy."""
+    """Enumerates all actions: gradient of E[A grad log p] where A depends on bound heads alone, and of the entropy."""
     distribution = ACTION_SPACES["multi_discrete"].distribution
     bound = jnp.array([True, False, False, True, False, True])
     logits = tuple(jax.random.normal(jax.random.key(i), (size,)) for i, size in enumerate(distribution.head_sizes))

@@ -180,7 +180,7 @@ def test_bad_actions_are_refused_outside_of_jit_and_counted_inside(env: Environm
 
 
 def test_levels_of_another_size_and_single_levels_are_refused(env: Environment) -> None:
-    with pytest.raises(ValueError, match=r"levels have room for 5 polygons, size 'm' for 6"):
+    with pytest.raises(ValueError, match=r"levels have slots for 5 polygons, size 'm' for 6"):
         Environment(EnvConfig(size="m"), engine=None).prepare(batch(RESTS))
     with pytest.raises(ValueError, match="takes a batch"):
         env.prepare(RESTS)
@@ -231,8 +231,8 @@ def test_noop_filter_of_the_levels_judges_as_the_environment_does() -> None:
         env_state, _, _, done, info = env.step(prepared, env_state, actions)
         return (env_state, solved | (info.solved & ~over), over | done), None
 
-    nobody = jnp.zeros(48, bool)
-    (_, played, _), _ = jax.lax.scan(advance, (env.reset(prepared)[0], nobody, nobody), None, length=NOOP_STEPS)
+    none_yet = jnp.zeros(48, bool)
+    (_, played, _), _ = jax.lax.scan(advance, (env.reset(prepared)[0], none_yet, none_yet), None, length=NOOP_STEPS)
     np.testing.assert_array_equal(played, noop_solved(env, levels))
     np.testing.assert_array_equal(played, noop_solved_of_levels(levels))
     assert 0 < played.sum() < 48

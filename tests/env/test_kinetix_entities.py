@@ -51,7 +51,7 @@ def observe(env: Environment) -> Callable[[PreparedLevels, Any], EntityObs]:
 def test_a_disc_that_turns_on_a_box_touches_it_after_the_first_step_alone(
     env: Environment, observe: Callable[..., EntityObs]
 ) -> None:
-    """They are joined and overlap, so that the engine never lets them collide."""
+    """Disc and box are joined and overlap, so that the engine never lets them collide."""
     level = small_level(box=(1.0, 2.0), disc_1=(1.3, 2.0), joint={**MOTOR_JOINT, "joints.anchor_a": (0.3, 0.0)})
     prepared = env.prepare(batch(level))
     state, obs = env.reset(prepared)
@@ -89,7 +89,7 @@ def test_corners_run_clockwise_and_inverse_masses_are_raw(env: Environment, obse
 
 
 def test_time_may_lead_the_worlds(env: Environment, observe: Callable[..., EntityObs]) -> None:
-    """As in the minibatches of a learner: [T, W, ...] of what moves with [W, ...] of what a level fixes."""
+    """Minibatches of a learner have [T, W, ...] of what moves with [W, ...] of what a level fixes."""
     levels = [small_level(joint=MOTOR_JOINT), small_level(box=(1.2, 1.0))]
     prepared = env.prepare(batch(*levels))
     moved = dataclasses.replace(prepared.initial_obs, has_stepped=jnp.ones(2, bool))

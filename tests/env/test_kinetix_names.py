@@ -62,7 +62,7 @@ def test_the_example_of_the_public_package_runs(static_env_params):
 
 
 def test_what_is_no_size_and_other_parameters_are_refused():
-    with pytest.raises(ValueError, match=r"room for \(7, 4, 6, 2\).*s \(5, 2, 1, 1\)"):
+    with pytest.raises(ValueError, match=r"has \(7, 4, 6, 2\).*s \(5, 2, 1, 1\)"):
         make_kinetix_env(
             ActionType.DISCRETE, ObservationType.SYMBOLIC_FLAT, lambda key: None, None, StaticEnvParams(num_polygons=7)
         )

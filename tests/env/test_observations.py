@@ -151,7 +151,7 @@ def test_the_rows_of_a_joint_are_the_same_whichever_end_is_called_a(kind: JointK
 
 
 def swapped(level: Level) -> dict[str, np.ndarray]:
-    """What `swap_ends` says of the joints of a level, by field."""
+    """Fields of a level's joints after `swap_ends`."""
     joints = swap_ends(level.scene.joints)
     return {field.name: np.asarray(getattr(joints, field.name)) for field in dataclasses.fields(joints)}
 
@@ -255,7 +255,7 @@ def connected(scene: Scene) -> tuple[jax.Array, jax.Array]:
 
 
 def chain_scene(joints: list[tuple[int, int]], active: list[bool], num_shapes: int) -> Scene:
-    """Only the fields that connectivity looks at."""
+    """Scene with the fields that connectivity looks at."""
     ends = np.array(joints, np.int32)
     capacity = Capacity(polygons=num_shapes, circles=0, joints=len(joints), thrusters=0)
     return empty(Scene, capacity.sizes).replace(

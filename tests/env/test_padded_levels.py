@@ -17,7 +17,7 @@ POLICY = PolicyConfig(encoder_size=16, attention_features=8, num_layers=1, hidde
 
 
 def played(size):
-    """Of the designed S levels in arrays of a size: active shapes' paths, rewards, ends, logits and values."""
+    """Course of the designed S levels in arrays of a size: active shapes' paths, rewards, ends, logits and values."""
     env = Environment(EnvConfig(size=size))
     levels = pad_levels(jax.tree.map(jnp.asarray, load_level_set("designed_s", "s")[0]), SIZES[size])
     policy = make_policy(POLICY, env.action_distribution.head_sizes)

@@ -1,4 +1,4 @@
-"""Pixel observations beside the picture that `jax2d.draw` paints of the same world, which shares no code with them."""
+"""Pixel observations against the picture that `jax2d.draw` paints of the same world by code of its own."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def blocks(image: np.ndarray) -> np.ndarray:
 
 
 def test_pixels_within_one_colour_have_that_colour(pictures):
-    """Where the drawing has one colour in a pixel and in all around it; one step of 256 for rounding."""
+    """Pixels where the drawing has one colour there and all around; one step of 256 for rounding."""
     for ours, image in pictures:
         parts = blocks(image)
         is_plain = (parts.max(axis=2) == parts.min(axis=2)).all(axis=-1)

@@ -1,4 +1,4 @@
-"""Distributions of continuous and discrete actions, beside those of scipy."""
+"""Distributions of continuous and discrete actions compared with those of scipy."""
 
 from __future__ import annotations
 

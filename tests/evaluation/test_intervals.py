@@ -73,7 +73,7 @@ def test_the_interval_over_levels_holds_the_rate_on_levels_like_these(
     by_attempts = [wilson_interval(int(counts.sum()), trials) for counts in solved]
     covered_by_attempts = np.mean([low <= truth <= high for low, high in by_attempts])
     if variants > 1:
-        assert covered_by_attempts < 0.5  # what was printed beside such sets
+        assert covered_by_attempts < 0.5  # the interval that was printed with such sets
     if attempts == variants == 1:
         assert np.mean([found["high"] - found["low"] for found in over if found]) == pytest.approx(
             np.mean([high - low for low, high in by_attempts]), rel=0.05
@@ -82,7 +82,7 @@ def test_the_interval_over_levels_holds_the_rate_on_levels_like_these(
 
 @pytest.mark.parametrize(("num_levels", "never"), [(20, 0.05), (74, 0.02), (10, 0.1)])
 def test_intervals_over_levels_hold_where_all_but_a_few_levels_are_always_solved(num_levels: int, never: float) -> None:
-    """A sample may hold none of the few levels that nobody solves, or one attempt of all that fails."""
+    """A sample may hold none of the few levels that no policy solves, or one attempt of all that fails."""
     rng = np.random.default_rng(0)
     solved = 20 * (rng.random((800, num_levels)) >= never)
     names = [str(level) for level in range(num_levels)]

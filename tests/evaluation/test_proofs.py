@@ -54,7 +54,7 @@ def test_a_replay_is_the_same_bit_for_bit_wherever_the_level_stands_in_the_batch
     "size", ["s", pytest.param("m", marks=pytest.mark.slow), pytest.param("l", marks=pytest.mark.slow)]
 )
 def test_as_users_run_it_every_proof_takes_exactly_as_many_steps_as_it_says(size: str) -> None:
-    """With the flags of XLA and the optimisations that users have, which tests have not."""
+    """Uses the flags of XLA and the optimisations that users have, which tests have not."""
     command = [sys.executable, "-m", "kinetix_dist.cli.main", "levels", "solve", f"all_designed_{size}", "--check"]
     command += ["--worlds", "32"]  # of slightly different starts, which are not what this is about
     environment = {**environment_of_cpus(1), "XLA_FLAGS": "", "JAX_DISABLE_MOST_OPTIMIZATIONS": "false"}

@@ -94,7 +94,7 @@ def test_every_random_level_survives_its_text(size: str) -> None:
 
 
 def test_a_level_that_was_recorded_with_a_negative_wheel_is_read_as_it_was_played() -> None:
-    """Of a recording made when levels were not turned round: its actions belong to these signs."""
+    """Plays a recording made when levels were not turned round: its actions belong to these signs."""
     level, _ = load_level(levels_root() / "s" / "drag_cart.json")
     scene = level.scene.replace(joints={"motor_speed": -level.scene.joints.motor_speed})
     before = dataclasses.replace(level, scene=scene)

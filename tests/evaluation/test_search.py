@@ -12,7 +12,7 @@ from kinetix_dist.evaluation.proofs import replay
 from kinetix_dist.evaluation.search.best_first import Archive
 from kinetix_dist.evaluation.search.polish import polish
 from kinetix_dist.evaluation.search.random_search import MAX_HOLD, held_choices
-from kinetix_dist.evaluation.search.solve import METHODS, Solved, solve
+from kinetix_dist.evaluation.search.solve import METHODS, Solved, Target, solve
 from kinetix_dist.evaluation.search.worlds import Budget, Worlds, useful_actions
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.level_data import levels_root
@@ -33,8 +33,10 @@ def document_of(name: str) -> dict:
     return read_document(levels_root() / "s" / f"{name}.json")
 
 
-def solved(env: Environment, document: dict, **options: object) -> Solved:
-    return solve(env, level_from_json(document), document, name="a", num_worlds=NUM_WORLDS, **options)  # type: ignore[arg-type]
+def solved(env: Environment, document: dict, *, player: object = None, stored: object = None, **options) -> Solved:
+    level = level_from_json(document)
+    target = Target(name="a", level=level, document=document, player=player, stored=stored)  # type: ignore[arg-type]
+    return solve(env, target, num_worlds=NUM_WORLDS, **options)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -59,7 +61,7 @@ def test_a_level_out_of_reach_is_not_solved_and_all_methods_say_how_near_they_ca
 
 
 def test_how_near_green_came_is_the_distance_of_the_surfaces(env: Environment) -> None:
-    """Of a disc and the corner of a box that is as high as the middle of the disc."""
+    """Distance of a disc and the corner of a box that is as high as the middle of the disc."""
     document = {
         "format": "kinetix-dist-level", "version": 1, "name": "near", "size": "s", "gravity": [0.0, 0.0],
         "shapes": [

@@ -41,7 +41,7 @@ def test_rates_above_random_actions() -> None:
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda: best_of([1], 2, 3), "best of 3 cannot be told from 2 attempts"),
+        (lambda: best_of([1], 2, 3), "best of 3 cannot be estimated from 2 attempts"),
         (lambda: worst_share([], 2), "no levels"),
         (lambda: worst_share([3], 2), "3 to 3 of 2 attempts"),
         (lambda: worst_share([1], 2, share=0.0), "share is 0.0"),

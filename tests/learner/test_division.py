@@ -1,4 +1,4 @@
-"""Which parts of a batch lie on which device: every part once, whatever the number of devices."""
+"""Parts of a batch on each device: every part once, whatever the number of devices."""
 
 import numpy as np
 import pytest

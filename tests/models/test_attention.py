@@ -55,7 +55,7 @@ def test_a_token_that_may_look_at_nobody_gets_zero_and_gives_no_gradient():
     assert jnp.all(out[..., 1:] == 0)
     grad = jax.grad(lambda x: jnp.sum(attend(x, words) ** 2))(qkv)
     assert jnp.all(jnp.isfinite(grad))
-    assert jnp.all(grad[..., 2] == 0)  # token 2 is seen by nobody and sees nobody
+    assert jnp.all(grad[..., 2] == 0)  # no token sees token 2, and it sees none
 
 
 def test_attention_does_not_overflow_with_huge_scores():

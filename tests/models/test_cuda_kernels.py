@@ -1,4 +1,4 @@
-"""Kernels in CUDA C++ against plain formulas in float64, beside XLA in bfloat16; a whole network with them.
+"""Kernels in CUDA C++ compared with plain formulas in float64, as is XLA in bfloat16; a whole network with them.
 
 On a CPU their sources run by a C++ compiler (cuda_on_cpu), every thread of them: tiles, addresses, barriers, products.
 """
@@ -18,9 +18,9 @@ from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models import layer as xla
 from kinetix_dist.models.kernels import cuda_kernel, support
-from kinetix_dist.models.kernels.attention import beside_attention
+from kinetix_dist.models.kernels.attention import attention_branch
 from kinetix_dist.models.kernels.encoders import encode
-from kinetix_dist.models.kernels.feed_forward import beside_feed_forward
+from kinetix_dist.models.kernels.feed_forward import feed_forward_branch
 from kinetix_dist.models.kernels.messages import add_messages, pack_ends
 from kinetix_dist.models.norms import NORM_EPSILON
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
@@ -37,7 +37,7 @@ COUNTS = {
 
 @pytest.fixture(params=["on a CPU", pytest.param("on a GPU", marks=pytest.mark.gpu)])
 def place(request, monkeypatch):
-    """Where kernels run; how many rows there are to be."""
+    """Device of the kernels, and number of rows."""
     if request.param == "on a GPU":
         if why_not := support.why_no_device():
             pytest.skip(why_not)
@@ -155,7 +155,7 @@ def test_feed_forward(place, rows):
     def exact(x, kernel, bias):
         return x, jax.nn.relu(normalised(x) @ kernel + bias)
 
-    run = prepared(beside_feed_forward, arguments, grads, {"x"})
+    run = prepared(feed_forward_branch, arguments, grads, {"x"})
     found, by_xla = run(), prepared(xla.feed_forward_update, arguments, grads, {"x"})()
     assert_no_worse(["x", "y", *arguments], found, by_xla, in_float64(exact, arguments, grads))
     assert_same_again(place, found, run)
@@ -187,7 +187,7 @@ def test_attention(place, size, worlds):
         return x, jax.nn.relu(out @ out_kernel + out_bias)
 
     def by_kernels(x, *parameters):
-        return beside_attention(x, words, *parameters)
+        return attention_branch(x, words, *parameters)
 
     def with_xla(x, *parameters):
         x, update = xla.attention_update(x, words, *parameters, HEADS)
@@ -271,8 +271,8 @@ def test_tokens_are_the_same_whether_there_is_to_be_a_gradient(place):
         return encode(features, list(kernels), biases, 1)
 
     alone = tokens(*kernels).astype(jnp.float32)
-    beside, _ = jax.vjp(tokens, *kernels)
-    np.testing.assert_array_equal(alone, beside.astype(jnp.float32))
+    with_gradient, _ = jax.vjp(tokens, *kernels)
+    np.testing.assert_array_equal(alone, with_gradient.astype(jnp.float32))
     by_xla = xla.XLA.encode([each.astype(jnp.float32) for each in features], kernels, biases, 1, jnp.bfloat16)
     np.testing.assert_allclose(alone, by_xla.astype(jnp.float32), atol=0.01)
 
@@ -286,13 +286,13 @@ def test_nan_stays_nan(place, name, monkeypatch):
     x = jnp.asarray(rounded(rng, 4, tokens, E), jnp.bfloat16)
     feed_forward = {"kernel": jnp.ones((E, E)), "bias": jnp.zeros(E)}
     feed_forward[name] = feed_forward[name].at[..., 3].set(jnp.nan)
-    _, y = beside_feed_forward(x, *feed_forward.values())
+    _, y = feed_forward_branch(x, *feed_forward.values())
     assert np.isnan(y[..., 3].astype(jnp.float32)).all()
     assert np.isfinite(y[..., 4:].astype(jnp.float32)).all()
     attention = {"kernel": jnp.ones((E, 48)), "bias": jnp.zeros(48), "out_kernel": jnp.ones((16, E))}
     attention[name] = attention[name].at[..., 0].set(jnp.nan)
     words = jnp.full((MASKS, 4, tokens), (1 << tokens) - 1, jnp.uint32)
-    _, y = beside_attention(x, words, *attention.values(), jnp.zeros(E))
+    _, y = attention_branch(x, words, *attention.values(), jnp.zeros(E))
     assert np.isnan(y.astype(jnp.float32)).all()
 
 
@@ -326,7 +326,7 @@ def test_a_network_by_kernels_is_as_near_to_float32_as_by_xla(place, size, read_
             logits, values = policy(kernels, dtype).apply(params, obs)
             return sum(jnp.sum(jax.nn.log_softmax(head)[:, 0]) for head in logits) + jnp.sum(values**2)
 
-        # Not compiled as one: XLA runs callbacks of the interpreter beside each other, and some wait for others.
+        # Not compiled as one: XLA runs callbacks of the interpreter concurrently, and some wait for others.
         return np.asarray(jax.flatten_util.ravel_pytree(jax.grad(loss)(params))[0])
 
     exact = gradient("xla", "float32")

@@ -1,4 +1,4 @@
-"""Policies that remember: the formula, what is acted and what is learned, episodes, and a learner's minibatches."""
+"""Policies with memory: the formula, what is acted and what is learned, episodes, and a learner's minibatches."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.update import _Program, _shuffled
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.models import gru
-from kinetix_dist.models.gru import Gru, forget, initial_memory
+from kinetix_dist.models.gru import Gru, initial_memory, reset_memory
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 from tests.helpers import REPOSITORY
 
@@ -45,14 +45,14 @@ def problem() -> Problem:
     prepared = env.prepare(stack_worlds([load_level(path)[0] for path in files] * (WORLDS // 2)))
     worlds = Worlds(prepared, *env.reset(prepared))
     params = init_params(policy, jax.jit(env.observe)(prepared, worlds.obs), jax.random.key(0))
-    # The last layer starts near zero: what is remembered is to show in the log-probabilities.
+    # The last layer starts near zero: the memory has to show in the log-probabilities.
     params = jax.tree.map(lambda x: x + 0.3 * jax.random.normal(jax.random.key(1), x.shape), params)
     play = jax.jit(lambda worlds: unroll(policy, params, env, worlds, jax.random.key(2), STEPS))
     return Problem(env, policy, params, worlds, play(worlds))
 
 
 def test_the_unit_is_that_of_flax() -> None:
-    """Which has the six products apart, under the names of the public package."""
+    """Flax has the six products apart, under the names of the public package."""
     size, inputs = 5, 3
     x, memory = jax.random.normal(jax.random.key(0), (4, inputs)), jax.random.normal(jax.random.key(1), (4, size))
     theirs = nn.GRUCell(features=size)
@@ -84,8 +84,8 @@ def test_what_is_learned_from_is_what_was_acted(problem: Problem) -> None:
     np.testing.assert_allclose(values.reshape(STEPS, WORLDS), trajectory.values, atol=1e-5)  # of float32 sums
     # Without the resets it is another policy: the memory reaches as far.
     never = jnp.zeros((STEPS, WORLDS), bool)
-    _, remembered = jax.jit(problem.policy.apply)(problem.params, obs.reshape(STEPS * WORLDS, -1), is_first=never)
-    moved = np.abs(remembered.reshape(STEPS, WORLDS) - trajectory.values).max(axis=1)
+    _, with_memory = jax.jit(problem.policy.apply)(problem.params, obs.reshape(STEPS * WORLDS, -1), is_first=never)
+    moved = np.abs(with_memory.reshape(STEPS, WORLDS) - trajectory.values).max(axis=1)
     assert moved[:EPISODE].max() < 1e-5 and moved[EPISODE] > 1e-3
 
 
@@ -107,9 +107,9 @@ def test_an_evaluation_remembers_as_a_rollout_does(problem: Problem) -> None:
 
 
 def test_memory_is_forgotten_where_an_episode_ended() -> None:
-    memory = forget(jnp.ones((3, 2)), jnp.array([False, True, False]))
+    memory = reset_memory(jnp.ones((3, 2)), jnp.array([False, True, False]))
     np.testing.assert_array_equal(memory, [[1, 1], [0, 0], [1, 1]])
-    assert forget(None, jnp.array([True])) is None
+    assert reset_memory(None, jnp.array([True])) is None
 
 
 def test_a_recurrent_policy_without_its_memory_is_an_error(problem: Problem) -> None:
@@ -125,9 +125,9 @@ def test_two_students_remember_each_for_itself(problem: Problem) -> None:
     memory = jax.random.normal(jax.random.key(0), (4, both.memory_size))
     _, value, after = both.apply((problem.params, other), obs, memory)
     for params, worlds in ((problem.params, slice(0, 2)), (other, slice(2, 4))):
-        _, alone, remembered = gru.act(problem.policy, params, obs[worlds], memory[worlds])
+        _, alone, with_memory = gru.act(problem.policy, params, obs[worlds], memory[worlds])
         np.testing.assert_allclose(value[worlds], alone, atol=1e-6)
-        np.testing.assert_allclose(after[worlds], remembered, atol=1e-6)
+        np.testing.assert_allclose(after[worlds], with_memory, atol=1e-6)
 
 
 def test_minibatches_are_whole_worlds_each_once() -> None:

@@ -1,4 +1,4 @@
-"""The gate's kernels against the formula in float64, beside XLA's bfloat16; where they are refused.
+"""The gate's kernels compared with the formula in float64, as is XLA's bfloat16; where they are refused.
 
 In the CPU interpreter everything but the products is what runs on a GPU: tiles, halves, rings, barriers, formulas.
 """
@@ -208,7 +208,7 @@ def test_every_size_fits_the_kernels(size: str):
 
 
 def test_a_compiler_that_lacks_a_library_is_no_compiler(monkeypatch):
-    """As one of which not all files are installed: it loads, and takes no source."""
+    """Some of its files are not installed: it loads, and takes no source."""
 
     class Incomplete:
         def __getattr__(self, name: str):
@@ -231,9 +231,9 @@ def test_a_gate_is_the_same_whether_there_is_to_be_a_gradient(monkeypatch):
     x, y = (jnp.asarray(each, jnp.bfloat16) for each in arguments[:2])
     parameters = list(map(jnp.asarray, arguments[2:]))
     alone = gate(x, y, *parameters, True)
-    beside, _ = jax.vjp(lambda *each: gate(x, y, *each, True), *parameters)
+    with_gradient, _ = jax.vjp(lambda *each: gate(x, y, *each, True), *parameters)
     # XLA compiles the interpreter's two programs differently: the last bit of a few numbers.
-    np.testing.assert_allclose(alone.astype(jnp.float32), beside.astype(jnp.float32), rtol=2**-7, atol=1e-6)
+    np.testing.assert_allclose(alone.astype(jnp.float32), with_gradient.astype(jnp.float32), rtol=2**-7, atol=1e-6)
 
 
 @pytest.mark.parametrize("network", ["transformer_lean", "flat", "cnn"])

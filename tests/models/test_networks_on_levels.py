@@ -36,7 +36,7 @@ def levels_of(size: str) -> list[Level]:
 
 
 def start(observation: str, levels: Level) -> object:
-    """What a policy sees of the first states."""
+    """Policy input of the first states."""
     part = OBSERVATIONS[observation]
     names = ("position", "angle", "velocity", "angular_velocity")
     num_worlds, num_shapes = levels.angle.shape
@@ -50,7 +50,7 @@ def start(observation: str, levels: Level) -> object:
 
 @functools.cache
 def outputs_of_levels(observation: str, size: str) -> tuple[np.ndarray, ...]:
-    """Of the S levels in arrays of a size, of the levels of that size, and of these with their slots shuffled: [8, 17].
+    """Outputs for S levels in arrays of a size, levels of that size, and these with shuffled slots: [8, 17].
 
     By one set of weights, drawn for size S and moved at random.
     """
@@ -78,7 +78,7 @@ def outputs_of_levels(observation: str, size: str) -> tuple[np.ndarray, ...]:
 @pytest.mark.parametrize("observation", POLICIES)
 @pytest.mark.parametrize("size", SIZES)
 def test_the_order_of_slots_does_not_matter(observation: str, size: str) -> None:
-    """At a start: the touches that the public package sees one way depend on slots."""
+    """Compared at a start: the touches that the public package sees one way depend on slots."""
     _, own, shuffled = outputs_of_levels(observation, size)
     assert own.std(axis=0).min() > 1e-3  # levels do
     np.testing.assert_allclose(shuffled, own, atol=1e-5)  # order of float32 sums

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from kinetix_dist.models.norms import NORM_EPSILON, beside_norm, masked_mean, normalise
+from kinetix_dist.models.norms import NORM_EPSILON, masked_mean, norm_branch, normalise
 from kinetix_dist.models.stored import stored, stored_gradient
 
 X = np.random.default_rng(0).normal(1.0, 2.0, (3, 5, 8))
@@ -28,11 +28,11 @@ def _mean(x: jax.Array) -> jax.Array:
     "ours, formula",
     [
         (normalise, _norm),
-        (lambda x: jnp.stack(beside_norm(x)), lambda x: jnp.stack([x, _norm(x)])),
+        (lambda x: jnp.stack(norm_branch(x)), lambda x: jnp.stack([x, _norm(x)])),
         (lambda x: masked_mean(x, jnp.asarray(MASK)), _mean),
         (stored_gradient, lambda x: x),
     ],
-    ids=["normalise", "beside_norm", "masked_mean", "stored_gradient"],
+    ids=["normalise", "norm_branch", "masked_mean", "stored_gradient"],
 )
 def test_value_and_gradient_are_those_of_the_formula(ours: Callable, formula: Callable) -> None:
     with jax.enable_x64(True):

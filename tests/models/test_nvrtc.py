@@ -16,16 +16,16 @@ SOURCE = {"source": "kernel", "name": "kernel.cu", "headers": {"tile.cuh": "tile
 
 @pytest.fixture
 def compiled(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What the compiler was asked for, in order."""
-    asked: list[str] = []
+    """Requests to the compiler, in order."""
+    requested: list[str] = []
 
     def compile_ptx(source: str, name: str, *, headers: dict[str, str], macros: dict[str, int]) -> str:
-        asked.append(name)
+        requested.append(name)
         return f"{name} {source} {headers} {macros}\nof two lines\n"
 
     monkeypatch.setattr(nvrtc, "compile_ptx", compile_ptx)
     monkeypatch.setattr(nvrtc, "compiler_version", lambda: (13, 1, 100))
-    return asked
+    return requested
 
 
 @pytest.fixture

@@ -54,7 +54,7 @@ def _as_vector(output) -> np.ndarray:
 
 
 def test_the_transformer_has_the_parameters_of_the_paper_and_those_for_sliders():
-    """Also term by term: the paper's table of sizes leaves open where layers are counted."""
+    """Counted term by term, too: the paper's table of sizes leaves open where layers are counted."""
     obs = random_obs(1, CAPACITY)
     shapes = jax.eval_shape(make_policy(PolicyConfig(), HEAD_SIZES).init, jax.random.key(0), obs)
     encoders = sum((features + 1) * 128 for features in (27, 19, 22, 8)) + 3 * 128
@@ -68,7 +68,7 @@ def test_the_transformer_has_the_parameters_of_the_paper_and_those_for_sliders()
 
 @pytest.mark.parametrize(("read_out", "max_qk_norm"), [("pooled", 0.0), ("colour", 0.0), ("pooled", 1.7)])
 def test_a_lean_layer_is_what_its_formula_says(read_out, max_qk_norm):
-    """In numpy, in float64, world by world and token by token."""
+    """Computed in numpy, in float64, world by world and token by token."""
     obs = random_obs(4, CAPACITY, seed=3)
     config = dataclasses.replace(
         SMALL, network="transformer_lean", num_layers=1, read_out=read_out, max_qk_norm=max_qk_norm
@@ -169,8 +169,8 @@ def _lean_world(p, o) -> np.ndarray:
         ("thruster", thrusters, o.thruster_mask, o.thruster_owner[:, None]),
     ):
         for number in np.flatnonzero(mask):
-            told = np.concatenate([*before[ends[number]], entities[number]])
-            x[ends[number][0]] += told @ p[f"{kind}_messages_0_kernel"] + p[f"{kind}_messages_0_bias"]
+            given = np.concatenate([*before[ends[number]], entities[number]])
+            x[ends[number][0]] += given @ p[f"{kind}_messages_0_kernel"] + p[f"{kind}_messages_0_bias"]
 
     pooled = _norm(x, p, "pooling")[exists].mean(0)
     towers, both = p["towers"], np.stack([pooled, pooled])
@@ -193,11 +193,11 @@ def _read_by_colour(p, o, x, joints, thrusters, *, actor):
             for row in range(len(joints) if entity == "joint" else len(thrusters)):
                 if entity == "joint":
                     exists, is_mine = o.joint_mask[row], o.joints[row, 12 + colour]
-                    told = np.concatenate([normal[o.joint_from[row]], normal[o.joint_to[row]], joints[row]])
+                    given = np.concatenate([normal[o.joint_from[row]], normal[o.joint_to[row]], joints[row]])
                 else:
                     exists, is_mine = o.thruster_mask[row], o.thrusters[row, 3 + colour]
-                    told = np.concatenate([normal[o.thruster_owner[row]], thrusters[row]])
-                total += exists * is_mine * np.tanh(told @ p[f"{entity}_told_kernel"] + p[f"{entity}_told_bias"])
+                    given = np.concatenate([normal[o.thruster_owner[row]], thrusters[row]])
+                total += exists * is_mine * np.tanh(given @ p[f"{entity}_told_kernel"] + p[f"{entity}_told_bias"])
             hidden = np.tanh(total @ q[f"{kind}_sum_kernel"] + actor @ q[f"{kind}_actor_kernel"] + q[f"{kind}_bias"])
             logits.append(hidden @ q[f"{kind}_output"]["kernel"] + q[f"{kind}_output"]["bias"])
     return np.concatenate(logits)

@@ -1,4 +1,4 @@
-"""Which colours of motors and thrusters a level uses."""
+"""Colours of motors and thrusters that a level uses."""
 
 from __future__ import annotations
 

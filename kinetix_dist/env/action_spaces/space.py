@@ -1,4 +1,4 @@
-"""What an action array of a batch of worlds looks like, what it tells motors and thrusters, how a policy draws one.
+"""Interface of an action space: shape of actions, their effect on motors and thrusters, how a policy draws them.
 
 A new action space is one file with an `ActionSpace` and its registration: docs/extending.md.
 """
@@ -19,7 +19,7 @@ from kinetix_dist.level.level import Level
 
 
 class ActionDistribution(Protocol):
-    """How a policy acts in a space: from its outputs, a tuple of [..., k] float32, one of each of `head_sizes`.
+    """Distribution of a policy's actions in a space, given its outputs: [..., k] float32 of each k of `head_sizes`.
 
     bound: [..., dimensions] bool, see `ActionSpace.bound_heads`: dimensions that count in log-probability and entropy;
     None: all do. It is given only where the space has `bound_heads`.
@@ -57,16 +57,16 @@ class ActionSpace(abc.ABC):
 
     @property
     def distribution(self) -> ActionDistribution | None:
-        """How policies act; None: environments have this space, but no policy can be trained in it."""
+        """Distribution of policies; None: environments have this space, but no policy can be trained in it."""
         return None
 
     @abc.abstractmethod
     def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
-        """What each colour is told: motors [W, 4] in -1..1, thrusters [W, 2] in 0..1; off where not `allowed`."""
+        """Value of each colour: motors [W, 4] in -1..1, thrusters [W, 2] in 0..1; off where not `allowed`."""
 
     @property
     def has_bound_heads(self) -> bool:
-        """Whether `bound_heads` tells anything."""
+        """`bound_heads` differs between levels."""
         return type(self).bound_heads is not ActionSpace.bound_heads
 
     def bound_heads(self, levels: Level) -> Array | None:

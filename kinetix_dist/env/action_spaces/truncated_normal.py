@@ -72,7 +72,7 @@ class TruncatedNormal:
         return self.mean_and_spread(outputs)[0]
 
     def mean_and_spread(self, outputs: tuple[Array, ...]) -> tuple[Array, Array]:
-        """Of the normal distribution that is cut off, [..., n] each; outputs of 0 give the middle and half of half."""
+        """Mean and spread before truncation, [..., n] each; outputs of 0 give the middle and half of half the range."""
         low, high = np.float32(self.low), np.float32(self.high)
         half = 0.5 * (high - low)
         towards_end, width = (output.astype(jnp.float32) for output in outputs)

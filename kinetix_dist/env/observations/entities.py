@@ -73,7 +73,7 @@ def num_polygon_features(capacity: Capacity) -> int:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DynamicObs:
-    """What changes from step to step. Leading axes: worlds, or time and worlds."""
+    """Part that changes from step to step. Leading axes: worlds, or time and worlds."""
 
     bodies: Array  # [W, n, 7] float32: position 2, velocity 2, tanh(angular velocity / 10), sin, cos
     touching: Array  # [W, n, words] uint32, see `jax2d.scene.Touching`; zero right after a reset
@@ -82,7 +82,7 @@ class DynamicObs:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StaticObs:
-    """What a level fixes. `polygons` and `circles` are their rows without the seven numbers of `bodies`."""
+    """Part that a level fixes. `polygons` and `circles` are their rows without the seven numbers of `bodies`."""
 
     polygons: Array  # [W, P, 20] (19 + 2 V - 7)
     circles: Array  # [W, C, 12]

@@ -52,7 +52,7 @@ _CORNERS_OF_SIDE_WALLS = (1, 0, 3, 2)  # of ours, which run counter-clockwise fr
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class KinetixDynamicObs:
-    """What changes from step to step. Leading axes: worlds, or time and worlds."""
+    """Part that changes from step to step. Leading axes: worlds, or time and worlds."""
 
     entities: DynamicObs
     has_stepped: Array  # [W] bool, false right after a reset
@@ -61,7 +61,7 @@ class KinetixDynamicObs:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class KinetixStaticObs:
-    """What a level fixes."""
+    """Part that a level fixes."""
 
     entities: StaticObs
     frame_origin: Array  # [W, n, 2] m, of the package's frame of a shape, in ours; zero but for side walls

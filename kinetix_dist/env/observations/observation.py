@@ -1,6 +1,6 @@
-"""What a policy sees, as an object that environment, actors, learner and evaluation are given.
+"""Interface of an observation, which environment, actors, learner and evaluation share.
 
-An observation is kept in two parts, because memory is what a rollout runs out of: what a level fixes, computed once,
+An observation is stored in two parts, because memory is what a rollout runs out of: what a level fixes, computed once,
 and what changes from step to step. They are joined to the input of a policy when (and where) it is needed.
 
 A new observation is one file with an `Observation` and its registration: docs/extending.md.
@@ -25,7 +25,7 @@ IMAGE = "image"  # [B, rows, columns, 3] uint8
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Moving:
-    """What the physics tells of a batch of worlds."""
+    """Positions and motion of a batch of worlds."""
 
     position: Array  # [W, n, 2] m
     angle: Array  # [W, n] rad
@@ -43,11 +43,11 @@ class Observation(abc.ABC):
 
     @abc.abstractmethod
     def static(self, levels: Level) -> Any:
-        """What a batch of levels fixes, [W, ...]."""
+        """Part that a batch of levels fixes, [W, ...]."""
 
     @abc.abstractmethod
     def dynamic(self, moving: Moving) -> Any:
-        """What changes from step to step, [W, ...]; trajectories store it for every step, so keep it small."""
+        """Part that changes from step to step, [W, ...]; trajectories store it for every step, so keep it small."""
 
     @abc.abstractmethod
     def join(self, static: Any, dynamic: Any) -> Any:

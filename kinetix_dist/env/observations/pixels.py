@@ -43,7 +43,7 @@ FAR_M = 1e4  # outside of every picture, and its square is a number
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PixelStatic:
-    """What a level fixes of its picture."""
+    """Part of a picture that a level fixes."""
 
     background: Array  # [W, 125, 125] uint32, packed: all that never moves
     colours: Array  # [W, n, 3] float32 0..255, of shapes

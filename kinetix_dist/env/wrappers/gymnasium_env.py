@@ -207,7 +207,7 @@ def make_vec(
 
 
 def observation_space(env: Environment) -> spaces.Space:
-    """Of one world: a Box, or a Dict with the fields of an `EntityObs`."""
+    """Space of one world: a Box, or a Dict with the fields of an `EntityObs`."""
     obs = env.observation_space
     if dataclasses.is_dataclass(obs):
         return spaces.Dict({name: _space_of(part, env) for name, part in vars(obs).items()})
@@ -215,7 +215,7 @@ def observation_space(env: Environment) -> spaces.Space:
 
 
 def action_space(space: ActionSpace) -> spaces.Space:
-    """Of one world."""
+    """Space of one world."""
     if not space.is_integer:
         return spaces.Box(np.float32(space.low), np.float32(space.high), dtype=np.float32)
     choices = np.asarray(space.high, np.int64) + 1
@@ -228,7 +228,7 @@ def as_dict(obs: Any) -> Any:
 
 
 def one_of(obs: Any, world: int) -> Any:
-    """Of a batch, [W, ...] on every array."""
+    """Space of one world from that of a batch, [W, ...] on every array."""
     return {name: part[world] for name, part in obs.items()} if isinstance(obs, dict) else obs[world]
 
 

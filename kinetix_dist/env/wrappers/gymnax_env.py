@@ -31,14 +31,14 @@ from kinetix_dist.level.level import Level
 
 @struct.dataclass
 class GymnaxParams(environment.EnvParams):
-    """What may be changed without building another environment."""
+    """Parameters that may change without another environment."""
 
     max_steps_in_episode: int = 256  # environment steps; no more than EnvConfig.max_steps
 
 
 @struct.dataclass
 class GymnaxState:
-    """Of one world; arrays have a world axis of 1."""
+    """State of one world; arrays have a world axis of 1."""
 
     level: PreparedLevels
     episode: EnvState
@@ -129,7 +129,7 @@ class MultiDiscreteSpace(spaces.Space):
 
 
 def action_space(space: ActionSpace) -> spaces.Space:
-    """Of one world."""
+    """Space of one world."""
     if not space.is_integer:
         return spaces.Box(jnp.float32(space.low), jnp.float32(space.high), (space.num_dimensions,), jnp.float32)
     choices = tuple(int(high) + 1 for high in space.high)

@@ -7,7 +7,7 @@ Signatures are those of kinetix-env 3.0.2: `reset(key, env_params, override_rese
 `step(key, state, action, env_params, override_reset_state)` with one `done`. A given `override_reset_state`, a level or
 a state, is where the episode starts that begins in this call; it holds for this call alone.
 
-What differs: observations are those of this package (a picture is uint8 [125, 125, 3] with row 0 at the top), and room
+What differs: observations are those of this package (a picture is uint8 [125, 125, 3] with row 0 at the top), and slots
 is that of a size: `StaticEnvParams()` is size L (12 circles, joints and thrusters there).
 """
 
@@ -53,7 +53,7 @@ class ActionType(enum.Enum):
 
 @struct.dataclass
 class EnvParams:
-    """Of an episode."""
+    """Parameters of an episode."""
 
     max_timesteps: int = struct.field(pytree_node=False, default=256)
     dense_reward_scale: float = struct.field(pytree_node=False, default=0.1)
@@ -65,7 +65,7 @@ class EnvParams:
 
 @struct.dataclass
 class StaticEnvParams:
-    """What is compiled in. Room for shapes, joints and thrusters has to be that of a size."""
+    """Compiled-in parameters. Numbers of shapes, joints and thrusters have to be those of a size."""
 
     num_polygons: int = struct.field(pytree_node=False, default=SIZES["l"].polygons)
     num_circles: int = struct.field(pytree_node=False, default=SIZES["l"].circles)
@@ -76,20 +76,20 @@ class StaticEnvParams:
     @property
     def size(self) -> str:
         """Raises ValueError where there is no such size."""
-        room = (self.num_polygons, self.num_circles, self.num_joints, self.num_thrusters)
-        rooms = {name: (size.polygons, size.circles, size.joints, size.thrusters) for name, size in SIZES.items()}
-        for name, known in rooms.items():
-            if room == known:
+        capacity = (self.num_polygons, self.num_circles, self.num_joints, self.num_thrusters)
+        capacities = {name: (size.polygons, size.circles, size.joints, size.thrusters) for name, size in SIZES.items()}
+        for name, known in capacities.items():
+            if capacity == known:
                 return name
         raise ValueError(
-            f"StaticEnvParams has room for {room} polygons, circles, joints and thrusters; sizes are "
-            + ", ".join(f"{name} {known}" for name, known in rooms.items())
+            f"StaticEnvParams has {capacity} polygons, circles, joints and thrusters; sizes are "
+            + ", ".join(f"{name} {known}" for name, known in capacities.items())
         )
 
 
 @struct.dataclass
 class KinetixState(GymnaxState):
-    """Of one world, with the level as it was drawn, for pictures."""
+    """State of one world, with the level as it was drawn, for pictures."""
 
     source: Level
 

@@ -1,4 +1,4 @@
-"""Of a found solution a shorter one, and one that does not depend on the last digit of the start.
+"""Polishing of solutions: shorter ones that do not depend on the last digit of the start.
 
 Variants of what was found are played, each from a slightly different start: a stretch left out, held, or replaced.
 Those that solve the level go on, the more starts they solve it from the better, then the shorter the better. A solution

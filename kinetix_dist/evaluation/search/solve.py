@@ -1,6 +1,6 @@
 """Finds a proof for a level: the methods one after the other, then the environment replays what was found.
 
-outcome = solve(env, level, document, seconds=60)
+outcome = solve(env, Target(name=name, level=level, document=document), seconds=60)
 outcome.proof, or None and outcome.tried, a line for each method
 """
 
@@ -28,7 +28,7 @@ from kinetix_dist.level.level import Level
 from kinetix_dist.level.proof import Proof, level_hash
 
 POLISH_SHARE = 0.25  # of the seconds, once something was found
-ROBUST = 0.9  # a solution that works from fewer of slightly different starts is kept, but the search goes on
+ROBUST = 0.9  # a solution that works from fewer of slightly different starts counts, but the search goes on
 
 Search = Callable[[Worlds, np.random.Generator, Budget], list[np.ndarray]]
 SEARCHES: dict[str, Search] = {"random": random_search, "cem": cross_entropy, "best_first": best_first}
@@ -44,46 +44,52 @@ SHARES = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Solved:
-    """What came of a search: a proof, or why there is none."""
+    """Result of a search: a proof, or why there is none."""
 
     proof: Proof | None
     tried: tuple[str, ...]  # a line for each method, in the order tried
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Target:
+    """Level to solve, and policy or actions to begin with."""
+
+    name: str
+    level: Level  # numpy, of the environment's size
+    document: dict[str, Any]  # that describes it
+    player: Player | None = None  # for method "policy"
+    stored: np.ndarray | None = None  # [t, 6] actions that solve it or did so once, for method "stored"
+
+
 def solve(
     env: Environment,
-    level: Level,
-    document: dict[str, Any],
+    target: Target,
     *,
-    name: str,
     seconds: float,
     methods: Sequence[str] | None = None,
-    player: Player | None = None,
-    stored: np.ndarray | None = None,
     num_worlds: int = 512,
     seed: int = 0,
 ) -> Solved:
-    """Searches for actions that solve a level (numpy, of the environment's size), which `document` describes.
+    """Searches for actions that solve a level.
 
-    methods: of METHODS, by default all, "policy" where there is a `player` and "stored" where actions [t, 6] are given
-    that solve it or did so once. Raises ValueError for a level in which
+    methods: of METHODS, by default all that the target allows. Raises ValueError for a level in which
     no action moves anything, for an environment of other actions than multi-discrete ones and for unknown methods.
     """
     if env.action_space.name != "multi_discrete":
         raise ValueError(f"proofs are multi-discrete actions; the environment has {env.action_space.name!r}")
     searches = dict(SEARCHES)
-    if player is not None:
-        searches["policy"] = functools.partial(_with_policy, player)
-    if stored is not None and len(stored):
-        searches["stored"] = functools.partial(from_stored, stored)
+    if target.player is not None:
+        searches["policy"] = functools.partial(_with_policy, target.player)
+    if target.stored is not None and len(target.stored):
+        searches["stored"] = functools.partial(from_stored, target.stored)
     methods = tuple(searches) if methods is None else methods
     missing = [method for method in methods if method not in searches]
     if missing or not methods:
         raise ValueError(
             f"methods are {list(methods)}; choose of {', '.join(searches)} (policy needs a player, stored a proof)"
         )
-    useful_actions(level)  # raises before anything is compiled
-    worlds = Worlds(env, level, num_worlds)
+    useful_actions(target.level)  # raises before anything is compiled
+    worlds = Worlds(env, target.level, num_worlds)
     rng = np.random.default_rng(seed)
     methods = [method for method in SHARES if method in methods]
     whole = Budget(seconds)
@@ -108,8 +114,8 @@ def solve(
         return Solved(proof=None, tried=tuple(tried))
     actions, share, method = best
     proof = Proof(
-        level=name,
-        level_sha256=level_hash(document),
+        level=target.name,
+        level_sha256=level_hash(target.document),
         preset=describe(env.config.physics),
         frame_skip=env.config.frame_skip,
         max_steps=env.config.max_steps,
@@ -118,10 +124,10 @@ def solve(
         method=method,
         robustness=round(share, 3),
     )
-    rollout = replay(env, [level], [proof])[0]
+    rollout = replay(env, [target.level], [proof])[0]
     if not (rollout.solved and rollout.num_steps == proof.num_steps):
         raise RuntimeError(
-            f"{name}: {method} found {proof.num_steps} steps that the environment does not confirm "
+            f"{target.name}: {method} found {proof.num_steps} steps that the environment does not confirm "
             f"({rollout.outcome} after {rollout.num_steps}): search and environment disagree, which is a bug"
         )
     return Solved(proof=proof, tried=tuple(tried))

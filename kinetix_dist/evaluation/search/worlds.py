@@ -38,7 +38,7 @@ START_NOISE_M_S = 1e-4  # on velocities of slightly different starts; a hundred 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Played:
-    """How some steps went. [W] on every field; of the steps before a world was over, but for what is "at the end"."""
+    """Outcome of some steps. [W] on every field; of the steps before a world was over, but for what is "at the end"."""
 
     solved_after: Array  # int32, steps until it was solved, 0 where it was not
     is_over: Array  # bool, solved, touched red or not finite
@@ -114,7 +114,7 @@ class Worlds:
 
     @functools.cached_property
     def actions(self) -> np.ndarray:
-        """Those of `useful_actions`, which may raise."""
+        """Actions of `useful_actions`, which may raise."""
         return useful_actions(self.level)
 
     @property

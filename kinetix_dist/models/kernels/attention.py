@@ -14,10 +14,10 @@ _FORWARD_BLOCKS, _BACKWARD_BLOCKS = 3, 2  # of a multiprocessor
 
 
 @jax.custom_vjp
-def beside_attention(
+def attention_branch(
     x: Array, mask_words: Array, kernel: Array, bias: Array, out_kernel: Array, out_bias: Array
 ) -> tuple[Array, Array]:
-    """`x`, and relu(attention(normalise(x)) @ out_kernel + out_bias), for a stream that goes on beside it: one kernel
+    """`x`, and relu(attention(normalise(x)) @ out_kernel + out_bias), for the stream and its branch: one kernel
     adds up the gradients of both.
 
     x: [B, n, 128] bfloat16; mask_words: [4, B, n] uint32, see models/attention.py; kernel: [128, 48] of queries, keys
@@ -51,7 +51,7 @@ def _backward(residuals: tuple[Array, ...], grads: tuple[Array, Array]) -> tuple
     return grad_x, None, of_kernel[:, :columns], of_bias[:columns], of_out_kernel, of_out_bias
 
 
-beside_attention.defvjp(_forward, _backward)
+attention_branch.defvjp(_forward, _backward)
 
 
 def _kernel(name: str, x: Array, at_most: int) -> tuple[CudaKernel, int]:

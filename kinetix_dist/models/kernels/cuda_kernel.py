@@ -39,7 +39,7 @@ class CudaKernel:
 
 
 def call(kernel: CudaKernel, out: Sequence[jax.ShapeDtypeStruct], blocks: int, *operands: Array) -> list[Array]:
-    """What `kernel` writes when `blocks` blocks of it run. Its parameters are the operands, then the results."""
+    """Results of `kernel` when `blocks` blocks of it run. Its parameters are the operands, then the results."""
     numbers = {"grid_x": blocks, "grid_y": 1, "grid_z": 1, "block_x": THREADS, "block_y": 1, "block_z": 1}
     numbers["shared_mem_bytes"] = _shared_bytes(kernel)
     ptx = _quoted(_ptx(kernel.file, kernel.macros))
@@ -50,7 +50,7 @@ def call(kernel: CudaKernel, out: Sequence[jax.ShapeDtypeStruct], blocks: int, *
 
 
 def num_blocks(kernel: CudaKernel, tiles: int, at_most: int) -> int:
-    """How many blocks share the tiles: all that run at once, `at_most` of them on a multiprocessor."""
+    """Number of blocks that share the tiles: all that run at once, `at_most` of them on a multiprocessor."""
     fitting = MULTIPROCESSOR_BYTES // (_shared_bytes(kernel) + RESERVED_BYTES)
     return min(MULTIPROCESSORS * min(at_most, fitting), tiles)
 
@@ -68,5 +68,5 @@ def _ptx(file: str, macros: tuple[tuple[str, int], ...]) -> str:
 
 
 def _quoted(text: str) -> str:
-    """As a string of MLIR."""
+    """Text as a string of MLIR."""
     return '"' + "".join(c if " " <= c <= "~" and c not in '"\\' else f"\\{ord(c):02X}" for c in text) + '"'

@@ -16,8 +16,8 @@ _FORWARD_BLOCKS, _BACKWARD_BLOCKS = 3, 2  # of a multiprocessor
 
 
 @jax.custom_vjp
-def beside_feed_forward(x: Array, kernel: Array, bias: Array) -> tuple[Array, Array]:
-    """`x`, and relu(normalise(x) @ kernel + bias), for a stream that goes on beside it: one kernel adds up the
+def feed_forward_branch(x: Array, kernel: Array, bias: Array) -> tuple[Array, Array]:
+    """`x`, and relu(normalise(x) @ kernel + bias), for the stream and its branch: one kernel adds up the
     gradients of both. x: [..., 128] bfloat16; kernel: [128, 128], bias: [128] float32."""
     return _forward(x, kernel, bias)[0]
 
@@ -38,7 +38,7 @@ def _backward(residuals: tuple[Array, ...], grads: tuple[Array, Array]) -> tuple
     return grad_x, *(jnp.sum(each, axis=0) for each in of_blocks)
 
 
-beside_feed_forward.defvjp(_forward, _backward)
+feed_forward_branch.defvjp(_forward, _backward)
 
 
 def _num_rows(x: Array) -> int:

@@ -11,7 +11,7 @@ and grad_y needs.
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,39 +44,42 @@ def gate_backward(
     return kernel(grad, x, r, z, h, weights)
 
 
-def _body(
+class _Refs(NamedTuple):
+    """Arguments of the kernel."""
+
     # Rows in:
-    grad: Any,
-    x: Any,
-    r: Any,
-    z: Any,
-    h: Any,
-    weights: Any,
+    grad: Any
+    x: Any
+    r: Any
+    z: Any
+    h: Any
+    weights: Any
     # Rows out:
-    grad_x: Any,
-    grad_y: Any,
-    grad_rz: Any,
-    grad_h: Any,
-    rx: Any,
+    grad_x: Any
+    grad_y: Any
+    grad_rz: Any
+    grad_h: Any
+    rx: Any
     # Shared memory:
-    blocks: Any,
-    loads: Any,
-    stores: Any,
-    weights_barrier: Any,
-    barriers: Any,
-    *,
-    interpret: bool,
-) -> None:
+    blocks: Any
+    loads: Any
+    stores: Any
+    weights_barrier: Any
+    barriers: Any
+
+
+def _body(*refs: Any, interpret: bool) -> None:
+    ref = _Refs(*refs)
     # The own half last, since what is stored of it is at hand then. x comes twice: registers have no room for it.
-    order = [(array, half) for half in (OTHER, OWN) for array in (z, h, grad, x)]
-    order += [(array, half) for half in (OTHER, OWN) for array in (r, x)]
-    tiles = Tiles(x.shape[0], order, loads, stores, barriers)
-    load_blocks(tiles, weights, blocks, weights_barrier, _WHERE)
-    plgpu.barrier_wait(weights_barrier)
+    order = [(array, half) for half in (OTHER, OWN) for array in (ref.z, ref.h, ref.grad, ref.x)]
+    order += [(array, half) for half in (OTHER, OWN) for array in (ref.r, ref.x)]
+    tiles = Tiles(ref.x.shape[0], order, ref.loads, ref.stores, ref.barriers)
+    load_blocks(tiles, ref.weights, ref.blocks, ref.weights_barrier, _WHERE)
+    plgpu.barrier_wait(ref.weights_barrier)
     own, second_own = tiles.half(OWN), tiles.half(OWN, 1)
 
     def tile(number: Any) -> None:
-        products = Products(blocks, number, transposed=True, interpret=interpret)
+        products = Products(ref.blocks, number, transposed=True, interpret=interpret)
         h_halves, z_halves, r_halves = [None, None], [None, None], [None, None]
         direct: Any = None  # of grad_x: what reaches the own half without a product
         for half in (OTHER, OWN):
@@ -86,8 +89,8 @@ def _body(
             h_halves[half] = (through_h * (1 - h_half * h_half)).astype(jnp.bfloat16)
             if half == OWN:
                 direct = (grad_half - through_h).astype(jnp.bfloat16)
-                tiles.give(grad_h, own, h_halves[OWN])
-                tiles.give(grad_rz, second_own, z_halves[OWN])
+                tiles.give(ref.grad_h, own, h_halves[OWN])
+                tiles.give(ref.grad_rz, second_own, z_halves[OWN])
 
         def finish_rx(half: int) -> Any:
             def finish(grad_rx: Any) -> None:
@@ -97,8 +100,8 @@ def _body(
                 r_halves[half] = (grad_rx * rx_half * (1 - r_half)).astype(jnp.bfloat16)
                 if half == OWN:
                     direct = (direct.astype(jnp.float32) + grad_rx * r_half).astype(jnp.bfloat16)
-                    tiles.give(rx, own, rx_half)
-                    tiles.give(grad_rz, own, r_halves[OWN])
+                    tiles.give(ref.rx, own, rx_half)
+                    tiles.give(ref.grad_rz, own, r_halves[OWN])
 
             return finish
 
@@ -114,8 +117,8 @@ def _body(
         products.chain(
             (lambda total: products.add(total, h_halves, _RX + 2 * OTHER), finish_rx(OTHER)),
             (lambda total: products.add(total, h_halves, _RX + 2 * OWN), finish_rx(OWN)),
-            (issue_y, lambda total: tiles.give(grad_y, own, total)),
-            (issue_x, lambda total: tiles.give(grad_x, own, direct.astype(jnp.float32) + total)),
+            (issue_y, lambda total: tiles.give(ref.grad_y, own, total)),
+            (issue_x, lambda total: tiles.give(ref.grad_x, own, direct.astype(jnp.float32) + total)),
         )
 
     tiles.each(tile)

@@ -10,7 +10,7 @@ registers over all steps; a fourth loads. What the pairs found is added in a fix
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -39,7 +39,7 @@ _REGISTERS_OF_A_SUM, _REGISTERS_OF_LOADING = 160, 32
 def gate_weight_gradients(
     x: Array, y: Array, rx: Array, grad_rz: Array, grad_h: Array, *, interpret: bool = False
 ) -> tuple[Array, Array, Array]:
-    """Of kernel_y [128, 384], kernel_x [128, 256] and kernel_h [128, 128], float32. Rows are a multiple of 64."""
+    """Gradients of kernel_y [128, 384], kernel_x [128, 256] and kernel_h [128, 128], float32; rows: 64 n."""
 
     one, three = (plgpu.SMEM((STAGES, *sums, ROWS, WIDTH), jnp.bfloat16, transforms=SWIZZLED) for sums in ((), (SUMS,)))
     kernel = call(
@@ -60,27 +60,30 @@ def gate_weight_gradients(
     return jnp.concatenate([*of_y], axis=1), jnp.concatenate([of_x[0], of_x[1]], axis=1), of_x[2]
 
 
-def _body(
+class _Refs(NamedTuple):
+    """Arguments of the kernel."""
+
     # Rows in:
-    x: Any,
-    y: Any,
-    rx: Any,
-    grad_rz: Any,
-    grad_h: Any,
+    x: Any
+    y: Any
+    rx: Any
+    grad_rz: Any
+    grad_h: Any
     # Sums out, of each block:
-    out: Any,
+    out: Any
     # Shared memory:
-    a: Any,
-    a_of_h: Any,
-    b: Any,
-    full: Any,
-    empty: Any,
-    *,
-    interpret: bool,
-) -> None:
+    a: Any
+    a_of_h: Any
+    b: Any
+    full: Any
+    empty: Any
+
+
+def _body(*refs: Any, interpret: bool) -> None:
+    ref = _Refs(*refs)
     block, warpgroup = jax.lax.axis_index(BLOCK_AXIS), jax.lax.axis_index(WARPGROUP_AXIS)
     is_of_y, pair = jax.lax.rem(block, 2) == 0, block // 2
-    num_steps = (x.shape[0] // ROWS - pair + PAIRS - 1) // PAIRS
+    num_steps = (ref.x.shape[0] // ROWS - pair + PAIRS - 1) // PAIRS
 
     def set_registers(number: int, action: str) -> None:
         if not interpret:  # which has no registers to give
@@ -93,22 +96,22 @@ def _body(
         def scope(total: Any) -> None:
             def step(k: Any, _: None) -> None:
                 stage = jax.lax.rem(k, STAGES)
-                plgpu.barrier_wait(full.at[stage])
+                plgpu.barrier_wait(ref.full.at[stage])
                 for n in range(SUMS):  # the last sum of x is of r x
 
                     @pl.when((warpgroup == n) & (is_of_y | (n < SUMS - 1)))
                     def _(n: int = n) -> None:
-                        plgpu.wgmma(total, a.at[stage].T, b.at[stage, n])
+                        plgpu.wgmma(total, ref.a.at[stage].T, ref.b.at[stage, n])
 
                 @pl.when((warpgroup == SUMS - 1) & ~is_of_y)
                 def _() -> None:
-                    plgpu.wgmma(total, a_of_h.at[stage].T, b.at[stage, SUMS - 1])
+                    plgpu.wgmma(total, ref.a_of_h.at[stage].T, ref.b.at[stage, SUMS - 1])
 
                 plgpu.wgmma_wait(0)
-                plgpu.barrier_arrive(empty.at[stage])
+                plgpu.barrier_arrive(ref.empty.at[stage])
 
             jax.lax.fori_loop(0, num_steps, step, None)
-            out[block, warpgroup] = total[...]
+            ref.out[block, warpgroup] = total[...]
 
         pl.run_scoped(scope, plgpu.ACC((WIDTH, WIDTH), jnp.float32))
 
@@ -118,29 +121,29 @@ def _body(
 
         def step(k: Any, _: None) -> None:
             stage = jax.lax.rem(k, STAGES)
-            pl.when(k >= STAGES)(lambda: plgpu.barrier_wait(empty.at[stage]))
+            pl.when(k >= STAGES)(lambda: plgpu.barrier_wait(ref.empty.at[stage]))
             first = (pair + k * PAIRS) * ROWS
             rows = pl.ds(first, ROWS)
 
             def copy(source: Any, target: Any) -> None:
-                plgpu.copy_gmem_to_smem(source, target, full.at[stage])
+                plgpu.copy_gmem_to_smem(source, target, ref.full.at[stage])
 
-            copy(grad_rz.at[rows, pl.ds(0, WIDTH)], b.at[stage, 0])
-            copy(grad_rz.at[rows, pl.ds(WIDTH, WIDTH)], b.at[stage, 1])
-            copy(grad_h.at[rows], b.at[stage, 2])
+            copy(ref.grad_rz.at[rows, pl.ds(0, WIDTH)], ref.b.at[stage, 0])
+            copy(ref.grad_rz.at[rows, pl.ds(WIDTH, WIDTH)], ref.b.at[stage, 1])
+            copy(ref.grad_h.at[rows], ref.b.at[stage, 2])
 
             @pl.when(is_of_y)
             def _() -> None:
                 for n in (0, 1):  # in two parts: as many copies as the other block's
                     part = pl.ds(n * (ROWS // 2), ROWS // 2)
-                    copy(y.at[pl.ds(first + n * (ROWS // 2), ROWS // 2)], a.at[stage, part])
+                    copy(ref.y.at[pl.ds(first + n * (ROWS // 2), ROWS // 2)], ref.a.at[stage, part])
 
             @pl.when(~is_of_y)
             def _() -> None:
-                copy(x.at[rows], a.at[stage])
-                copy(rx.at[rows], a_of_h.at[stage])
+                copy(ref.x.at[rows], ref.a.at[stage])
+                copy(ref.rx.at[rows], ref.a_of_h.at[stage])
 
         jax.lax.fori_loop(0, num_steps, step, None)
         # Until every step has been used.
         last = jax.lax.max(num_steps - STAGES, 0)
-        jax.lax.fori_loop(last, num_steps, lambda k, _: plgpu.barrier_wait(empty.at[jax.lax.rem(k, STAGES)]), None)
+        jax.lax.fori_loop(last, num_steps, lambda k, _: plgpu.barrier_wait(ref.empty.at[jax.lax.rem(k, STAGES)]), None)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from jax2d.scene import Array
-from kinetix_dist.models.kernels.attention import beside_attention
+from kinetix_dist.models.kernels.attention import attention_branch
 from kinetix_dist.models.kernels.encoders import encode
-from kinetix_dist.models.kernels.feed_forward import beside_feed_forward
+from kinetix_dist.models.kernels.feed_forward import feed_forward_branch
 from kinetix_dist.models.kernels.gate import gate
 from kinetix_dist.models.kernels.messages import add_messages, pack_ends
 from kinetix_dist.models.layer import LayerParts
@@ -24,10 +24,10 @@ def _encode(
     return encode(features, kernels, biases, num_others)
 
 
-def _beside_attention(x: Array, mask_words: Array, *arguments: Any) -> tuple[Array, Array]:
+def _attention_branch(x: Array, mask_words: Array, *arguments: Any) -> tuple[Array, Array]:
     *parameters, heads = arguments
     del heads  # those that `support` asks for
-    return beside_attention(x, mask_words, *parameters)
+    return attention_branch(x, mask_words, *parameters)
 
 
 def _ends(obs: EntityObs) -> tuple[Array, Array]:
@@ -43,8 +43,8 @@ def _add_messages(x: Array, ends: tuple[Array, Array], *terms_and_kernels: Array
 
 FUSED = LayerParts(
     encode=_encode,
-    beside_attention=_beside_attention,
-    beside_feed_forward=beside_feed_forward,
+    attention_branch=_attention_branch,
+    feed_forward_branch=feed_forward_branch,
     gate=gate,
     ends=_ends,
     add_messages=_add_messages,

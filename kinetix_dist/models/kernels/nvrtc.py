@@ -5,7 +5,7 @@ its own, which is often newer than a driver that is new enough takes. The driver
 the result in its cache.
 
 Every process needs the texts before it can ask JAX's compile cache for a program with these kernels, and the compiler
-takes about a second a source: so they are kept in a folder of that cache.
+takes about a second a source: so they are stored in a folder of that cache.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ CACHE = "ptx"  # folder of texts in JAX's compile cache
 
 
 class NvrtcError(RuntimeError):
-    """There is no compiler, or it does not take a source."""
+    """No compiler was found, or it refused a source."""
 
 
 @functools.cache
 def library() -> ctypes.CDLL:
-    """Of the packages of NVIDIA, or of the system. Raises NvrtcError where there is none."""
+    """Library of the packages of NVIDIA, or of the system. Raises NvrtcError where there is none."""
     for name in (*_in_packages(), *NAMES):
         try:
             return ctypes.CDLL(name)
@@ -48,7 +48,7 @@ def check_compiler() -> None:
 
 
 def cached_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: Mapping[str, int]) -> str:
-    """As `compile_ptx`, from JAX's compile cache where it is on and another process has written it there."""
+    """Result of `compile_ptx`, read from JAX's compile cache where it is on and has it."""
     given = source, name, sorted(headers.items()), sorted(macros.items())
     key = repr((*given, OPTIONS, PTX_VERSION, compiler_version()))
     make = functools.partial(compile_ptx, source, name, headers=headers, macros=macros)
@@ -81,7 +81,7 @@ def compile_ptx(source: str, name: str, *, headers: Mapping[str, str], macros: M
 
 
 def compiler_version() -> tuple[int, ...]:
-    """What tells compilers apart: version, and bytes of the library where it is a file of a package."""
+    """Cache key of the compiler: version, and bytes of the library where it is a file of a package."""
     major, minor = ctypes.c_int(), ctypes.c_int()
     _check(library().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor)))
     file = Path(library()._name)

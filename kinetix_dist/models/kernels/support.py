@@ -1,4 +1,4 @@
-"""Where the kernels of this folder run, and the setting that chooses them: `policy.kernels`.
+"""Support of the fused kernels: where they run, and the setting that chooses them, `policy.kernels`.
 
 "xla"     models/layer.py and models/gate.py, on any device; the reference
 "fused"  the kernels, refused where they cannot run: gates by Pallas Mosaic GPU, which is part of jax, the other parts
@@ -32,12 +32,12 @@ BITS = 32  # of a word of a mask: a world's tokens in attention, its ends of joi
 
 
 class KernelError(ValueError):
-    """Kernels were asked for that cannot run here."""
+    """Requested kernels cannot run here."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LayerShape:
-    """What a layer is, as far as kernels are written for it."""
+    """Shape of a layer, as far as kernels are written for it."""
 
     width: int
     dtype: str
@@ -61,7 +61,7 @@ def worlds_a_message_tile(num_tokens: int, num_joints: int, num_thrusters: int) 
 
 
 def why_no_network(layer: LayerShape) -> str:
-    """What keeps the kernels from a network with such layers; empty: nothing."""
+    """Reason against the kernels for a network with such layers; "": none."""
     if not layer.is_gated:
         return "policy.network has no gates and the kernels are written for those that have"
     for name, value, written_for in (
@@ -73,7 +73,7 @@ def why_no_network(layer: LayerShape) -> str:
         if value != written_for:
             return f"{name} is {value} and the kernels are written for {written_for}"
     if not layer.num_joints or not layer.num_thrusters:
-        return f"worlds have no {'thrusters' if layer.num_joints else 'joints'} and the kernels need room for them"
+        return f"worlds have no {'thrusters' if layer.num_joints else 'joints'} and the kernels need them"
     if layer.num_features > MAX_FEATURES:
         return f"entities have {layer.num_features} features and the kernels take {MAX_FEATURES}"
     num_ends = layer.num_joints + layer.num_thrusters
@@ -90,7 +90,7 @@ _target: contextvars.ContextVar[jax.Device | None] = contextvars.ContextVar("tar
 
 @contextlib.contextmanager
 def compiling_for(device: jax.Device) -> Iterator[None]:
-    """What is traced meanwhile is for `device`, which may be a described one, not for the first of this process. A
+    """Programs traced inside are for `device`, which may be a described one, not for the first of this process. A
     function that was traced before is not traced again: jit functions have to be new."""
     token = _target.set(device)
     try:
@@ -100,7 +100,7 @@ def compiling_for(device: jax.Device) -> Iterator[None]:
 
 
 def why_no_device() -> str:
-    """What keeps the kernels from the device that programs are for; empty: nothing."""
+    """Reason against the kernels on the device that programs are for; "": none."""
     if not jax.__version__.startswith(JAX_VERSIONS):
         return f"jax is {jax.__version__} and the kernels are written for {' or '.join(JAX_VERSIONS)} (Python 3.12)"
     device = _target.get() or jax.local_devices()[0]
@@ -117,14 +117,14 @@ def why_no_device() -> str:
 
 
 def traced_for() -> tuple[object, ...]:
-    """What else decides how a network is traced, beside its configuration: the device, and what compiles kernels."""
+    """Cache key of tracing a network, next to its configuration: the device, and the compiler of kernels."""
     device = _target.get() or jax.local_devices()[0]
     why_not = why_no_device()
     return device.platform, device.device_kind, why_not, () if why_not else compiler_version()
 
 
 def uses_fused(kernels: str, layer: LayerShape) -> bool:
-    """Whether a network is computed by the kernels. Raises KernelError where "fused" cannot be."""
+    """The kernels compute the network. Raises KernelError where "fused" cannot be."""
     if kernels == "xla":
         return False
     why_not = why_no_network(layer) or why_no_device()

@@ -1,4 +1,4 @@
-"""What the gate's kernels share: tiles of rows that come and go by the copy engine, products in registers.
+"""Shared parts of the gate's kernels: tiles of rows that come and go by the copy engine, products in registers.
 
 A tile is 64 rows. Blocks work in pairs: both read the same tiles (the second finds them in the L2 cache) and each gives
 one half of the columns, its own. So the weights of a block leave room in shared memory for rings of loads and stores.
@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import mosaic_gpu as plgpu
 
-from kinetix_dist.models.kernels.one_place import from_one_place
+from kinetix_dist.models.kernels.stable_programs import without_caller_frames
 from kinetix_dist.models.kernels.support import MULTIPROCESSORS, WIDTH
 
 HALF = 64  # columns of a granule: 128 bytes, the widest swizzle
@@ -60,7 +60,7 @@ def call(
     num_threads: int = WARPGROUPS,
 ) -> Callable[..., Any]:
     """A kernel of PAIRS pairs of blocks of so many warpgroups."""
-    return from_one_place(
+    return without_caller_frames(
         plgpu.kernel(
             body,
             out_type=out_type,
@@ -167,7 +167,7 @@ class Products:
                 plgpu.wgmma(accumulator, a, block)
 
     def chain(self, *stages: tuple[Callable[[Any], None], Callable[[Any], None]]) -> None:
-        """For each (issue, finish): `issue(accumulator)` adds products, `finish` gets their sum [64, 64] float32.
+        """Runs each (issue, finish): `issue(accumulator)` adds products, `finish` gets their sum [64, 64] float32.
 
         A stage may use what earlier ones found: it is traced inside them, so that nothing leaves its scope.
         """

@@ -18,6 +18,7 @@ from kinetix_dist import prng
 from kinetix_dist.actors.unroll import score
 from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.curator.agents import AgentPpo
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.env.action_spaces import ActionDistribution
 from kinetix_dist.env.environment import Environment
@@ -51,8 +52,8 @@ class PpoAgents:
         interface = AgentInterface(env.observation, env.action_distribution, obs)
         return self._agent(self._policy, interface, self._config.ppo, stream_number=ANTAGONIST)
 
-    def teacher(self, policy: nn.Module, distribution: ActionDistribution, obs: Any, **ppo: Any) -> PpoAgent:
-        settings = dataclasses.replace(self._config.ppo, **ppo)
+    def teacher(self, policy: nn.Module, distribution: ActionDistribution, obs: Any, ppo: AgentPpo) -> PpoAgent:
+        settings = dataclasses.replace(self._config.ppo, **dataclasses.asdict(ppo))
         interface = AgentInterface(_NoEnvironment(), distribution, obs)
         return self._agent(policy, interface, settings, stream_number=TEACHER)
 

@@ -76,7 +76,7 @@ class RolloutCore:
         self._env = env
         self._policy = policy
         self._curriculum = curriculum
-        self._num_counted = len(curriculum.sources) + curriculum.num_places  # see `Proposal.source`
+        self._num_counted = len(curriculum.sources) + curriculum.num_slots  # see `Proposal.source`
         self._first_group = groups.start
         self._groups_per_part = len(groups) // self.division.num_parts
         # Here: a program that is read prepares no levels.

@@ -1,8 +1,8 @@
-"""Programs of Pallas kernels that are the same in every process, whoever calls the kernel and in which order.
+"""Programs of Pallas kernels that are the same in every process, whatever calls them and in which order.
 
 Two things that Pallas puts into a kernel's program are of no use to the device: the frames of Python that each
 operation was traced from, and a number of the kernel among those of the process, for names of dumps. They become part
-of every program that launches it, in the compile cache too: a run that is resumed asks for the rollout's program first
+of every program that launches it, in the compile cache too: a run that is resumed needs the rollout's program first
 where one that begins has evaluated before, and would compile all of them again.
 """
 
@@ -17,11 +17,11 @@ from jax.experimental.mosaic.gpu import dialect
 from jax.extend import source_info_util
 
 DUMP_NAME = "mosaic_gpu.dump_basename"  # attribute of a kernel's module
-DUMPS = "MOSAIC_GPU_DUMP"  # how variables of the environment begin that ask for dumps
+DUMPS = "MOSAIC_GPU_DUMP"  # prefix of environment variables that request dumps
 
 
-def from_one_place(kernel: Callable[..., Any]) -> Callable[..., Any]:
-    """`kernel`, whose operations say that they come from here."""
+def without_caller_frames(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """`kernel`, whose operations have their frames in this file alone."""
 
     def launch(*arrays: Any) -> Any:
         with source_info_util.user_context(_HERE, name_stack=source_info_util.new_name_stack()):
@@ -31,7 +31,7 @@ def from_one_place(kernel: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _here() -> Any:
-    """A traceback without the frames of whoever imports this: from a thread, whose first frame is here."""
+    """Traceback without the frames of the importer: from a thread, whose first frame is here."""
     found = []
 
     def frames_of_callers_are_left_out() -> None:  # what errors and profiles show
@@ -44,7 +44,7 @@ def _here() -> Any:
 
 
 def _name_dumps_alike() -> None:
-    """Kernels have no number, unless dumps are asked for, which would overwrite each other."""
+    """Kernels have no number, unless dumps are requested, which would overwrite each other."""
     if not hasattr(dialect, "get_or_set_dump_options"):  # jax 0.10: kernels have no number in a program
         return
     ask = dialect.get_or_set_dump_options  # there is no public way (jax 0.11)
