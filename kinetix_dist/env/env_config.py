@@ -31,10 +31,10 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if self.physics.solver_batch_size > 1 or self.physics.published_details:
+        if self.physics.solver_batch_size > 1:
             raise ConfigError(
-                f"EnvConfig.physics has solver_batch_size {self.physics.solver_batch_size}, published_details "
-                f"{self.physics.published_details}; environments are stepped by the kernel: use 1 and ()"
+                f"EnvConfig.physics has solver_batch_size {self.physics.solver_batch_size}; the kernel, which steps "
+                "environments, solves one contact after another: use 1"
             )
 
     @property
