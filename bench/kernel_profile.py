@@ -216,7 +216,7 @@ def divergence_record(size: str, engine: Engine, levels: Level, runs: int) -> Re
     return {
         "size": size,
         "worlds": worlds,
-        "contacts_a_world": round(mean, 2),
+        "contacts_per_world": round(mean, 2),
         "contacts_of_fullest_in_warp": round(most, 2),
         "lanes_at_work": round(mean / most, 3) if most else None,
         "lanes_in_a_used_slot": round(float(np.mean(active)), 1),

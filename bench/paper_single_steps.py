@@ -5,7 +5,7 @@
 The published engine (in its own environment) plays each level with random actions; from the states it reaches at
 MOMENTS, and from these states stirred so that shapes overlap in every way, both engines take one step with the same
 masses, coefficients and actions. Compared are `paper` as it is, and
-with every detail of jax2d/published_details.py and the package's batches of 16; then each detail is left out in turn,
+with every detail of bench/published_solver.py and the package's batches of 16; then each detail is left out in turn,
 which says in how many states it matters. "cold" steps start without warm-start contact impulses, "warm" ones with those
 of the published engine. States that differ with all details on are listed by name.
 """
@@ -23,14 +23,15 @@ from typing import Any
 import jax
 import numpy as np
 
+from bench import published_solver
 from bench.peer_process import PeerMissing
 from bench.program import output_file, parser_of
+from bench.published_order import Published
+from bench.published_solver import DETAILS
 from bench.published_steps import Steps, differences, load, run_published, warm
-from jax2d import Engine, Settings, State, preset
-from jax2d.published_details import PUBLISHED_DETAILS
+from jax2d import Engine, State, preset
 
 MOMENTS = (2, 16, 40, 80, 140, 220, 340, 480)  # physics steps; an episode has 512
-BATCH = 16  # contacts that the published engine solves at a time
 
 # Largest difference that is rounding, in units of 1 + the largest value of that field in the world. Ten iterations over
 # contacts multiply the rounding of a velocity by 10 to 100.
@@ -39,7 +40,7 @@ TOLERANCE = {
     "float32": {"position": 1e-6, "angle": 2e-6, "velocity": 2e-5, "angular_velocity": 1e-4},
 }
 PAPER = preset("paper")
-PUBLISHED = PAPER.replace(solver_batch_size=BATCH, published_details=tuple(PUBLISHED_DETAILS))
+PUBLISHED = Published(frozenset(DETAILS))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -87,17 +88,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def compare(size: str, steps: Steps, names: list[str]) -> dict[str, Any]:
     """A row for each way of stepping, and for each detail the states in which leaving it out matters."""
     rows = []
-    for label, settings, starts in (("paper", PAPER, ("cold",)), ("all details", PUBLISHED, ("cold", "warm"))):
+    for label, published, starts in (("paper", None, ("cold",)), ("all details", PUBLISHED, ("cold", "warm"))):
         for dtype in ("float64", "float32"):
             for start in starts:
-                agrees, apart = agreement(step(steps, settings, dtype, start), steps, dtype, start)
+                agrees, apart = agreement(step(steps, published, dtype, start), steps, dtype, start)
                 for kind, part in parts(names):
                     of_part = {field: x[part] for field, x in apart.items()}
                     what = {"states": kind, "setting": label, "dtype": dtype, "start": start}
                     rows.append(what | row(agrees[part], of_part, names[part]))
     matters = {}
-    for name, settings in left_out():
-        agrees, _ = agreement(step(steps, settings, "float64", "warm"), steps, "float64", "warm")
+    for name, published in left_out():
+        agrees, _ = agreement(step(steps, published, "float64", "warm"), steps, "float64", "warm")
         matters[name] = [names[i] for i in np.flatnonzero(~agrees)]
     different = {name for r in rows[:2] for name in r["different"]}
     return {
@@ -117,24 +118,28 @@ def level_of(name: str) -> str:
     return name.split("@")[0]
 
 
-def left_out() -> Iterator[tuple[str, Settings]]:
-    for name in PUBLISHED_DETAILS:
-        yield name, PUBLISHED.replace(published_details=tuple(d for d in PUBLISHED_DETAILS if d != name))
+def left_out() -> Iterator[tuple[str, Published]]:
+    everything = PUBLISHED.details
+    for name in DETAILS:
+        yield name, Published(everything - {name})
     # One contact at a time: no batch is less than full, so `last_pair` cannot act.
-    details = tuple(d for d in PUBLISHED_DETAILS if d != "last_pair")
-    yield "batches", PUBLISHED.replace(published_details=details, solver_batch_size=1)
+    yield "batches", Published(everything - {"last_pair"}, batch_size=1)
     # Batches and the order of kinds can each stand in for the other.
-    details = tuple(d for d in details if d != "solve_order")
-    yield "batches, solve_order", PUBLISHED.replace(published_details=details, solver_batch_size=1)
+    yield "batches, solve_order", Published(everything - {"last_pair", "solve_order"}, batch_size=1)
 
 
-def step(steps: Steps, settings: Settings, dtype: str, start: str) -> State:
-    engine = Engine(steps.capacity, settings=settings, backend="xla", dtype=dtype)
+def step(steps: Steps, published: Published | None, dtype: str, start: str) -> State:
+    """States after one step with these details of the published package; None: preset `paper` as it is."""
     state = warm(steps) if start == "warm" else steps.state
     state = jax.tree.map(lambda x: x.astype(dtype) if x.dtype.kind == "f" else x, state)
-    after, touching = engine.step(steps.scene, state, steps.controls)
-    if overflow := int(np.sum(touching.overflow)):
-        raise RuntimeError(f"{overflow} contacts found no slot; the comparison needs all of them")
+    if published is None:
+        engine = Engine(steps.capacity, settings=PAPER, backend="xla", dtype=dtype)
+        after, touching = engine.step(steps.scene, state, steps.controls)
+        overflow = touching.overflow
+    else:
+        after, overflow = published_solver.step(steps.capacity, PAPER, published, steps.scene, state, steps.controls)
+    if dropped := int(np.sum(overflow)):
+        raise RuntimeError(f"{dropped} contacts found no slot; the comparison needs all of them")
     return after
 
 

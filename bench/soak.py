@@ -5,7 +5,7 @@
     python bench/soak.py --replay m 3 1742 --seed 0           # one world of one episode again, alone
 
 An episode: worlds of one size start a level each and step 512 times, new actions every `--frame-skip` steps.
-Every `--episodes-a-draw` episodes each world draws a new level. What a world does depends on (seed, size, episode,
+Every `--episodes-per-draw` episodes each world draws a new level. What a world does depends on (seed, size, episode,
 world) and on nothing else, so that one that fails can be run again by itself.
 Episodes of the sizes are interleaved.
 
@@ -41,7 +41,7 @@ from jax2d.measure import energy, max_work, overlaps
 from jax2d.scene import Array, Scene, State, index_worlds
 from jax2d.settings import PRESETS, Settings
 from kinetix_dist.env.action_spaces import ACTION_SPACES
-from kinetix_dist.env.actions import controls_of
+from kinetix_dist.env.action_spaces.space import controls_of
 from kinetix_dist.level.generator import GeneratorConfig, generate_level
 from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Level
 from kinetix_dist.level.walls import FLOOR_TOP_M
@@ -233,7 +233,7 @@ class Tally:
             "fastest_m_s": round(self.fastest, 2),
             "fastest_spin_rad_s": round(self.fastest_spin, 2),
             "limits_acted": self.limited,
-            "limits_acted_a_step": self.limited / max(self.physics_steps, 1),
+            "limits_acted_per_step": self.limited / max(self.physics_steps, 1),
             "contact_overflow": self.overflow,
             "left_box": self.left_box,
             "share_of_actions_that_gain": {
@@ -258,8 +258,8 @@ def soak(args: argparse.Namespace) -> dict[str, Any]:
     while sum(t.physics_steps for t in tallies.values()) < args.steps:
         for size, one in soaks.items():
             tally, clock = tallies[size], time.perf_counter()
-            if number % args.episodes_a_draw == 0:
-                levels[size] = jax.block_until_ready(one.draw(number // args.episodes_a_draw, worlds))
+            if number % args.episodes_per_draw == 0:
+                levels[size] = jax.block_until_ready(one.draw(number // args.episodes_per_draw, worlds))
                 tally.levels += args.worlds
                 tally.draw_seconds += time.perf_counter() - clock
             clock = time.perf_counter()
@@ -275,7 +275,7 @@ def soak(args: argparse.Namespace) -> dict[str, Any]:
         "preset": args.preset,
         "seed": args.seed,
         "frame_skip": args.frame_skip,
-        "episodes_a_draw": args.episodes_a_draw,
+        "episodes_per_draw": args.episodes_per_draw,
         "physics_steps": sum(t.physics_steps for t in tallies.values()),
         "not_finite": sum(len(t.failures) for t in tallies.values()),
         "wall_seconds": round(time.perf_counter() - started, 1),
@@ -289,7 +289,7 @@ def replay(args: argparse.Namespace) -> dict[str, Any]:
     size, episode, world = args.replay
     one = Soak(size, preset(args.preset), args.frame_skip, args.seed)
     named = jnp.array([world])
-    result = one.play(episode, named, one.draw(episode // args.episodes_a_draw, named))
+    result = one.play(episode, named, one.draw(episode // args.episodes_per_draw, named))
     tally = Tally(size, 1)
     tally.add(episode, result, args.frame_skip, settled_after=0)
     final = jax.tree.map(lambda x: np.asarray(x)[0].tolist(), one.engine.unpack_state(result.final))
@@ -307,7 +307,7 @@ def show(result: dict[str, Any]) -> None:
         "a centre left the box": [row["left_box"] for row in rows],
         "fastest, m/s": [row["fastest_m_s"] for row in rows],
         "fastest spin, rad/s": [row["fastest_spin_rad_s"] for row in rows],
-        "speed limits acted, a step": [f"{row['limits_acted_a_step']:.2g}" for row in rows],
+        "speed limits acted, per step": [f"{row['limits_acted_per_step']:.2g}" for row in rows],
         "contacts without a slot": [row["contact_overflow"] for row in rows],
         "largest gain, J/kg": [row["largest_gain_J_kg"] for row in rows],
         f"after the first {SETTLED_SECONDS:g} s": [row["largest_gain_settled_J_kg"] for row in rows],
@@ -331,14 +331,14 @@ def main() -> int:
     parser.add_argument("--sizes", nargs="+", choices=sorted(SIZES), default=["s", "m", "l"])
     parser.add_argument("--preset", choices=sorted(PRESETS), default="standard")
     parser.add_argument("--frame-skip", type=int, default=2, help="physics steps an action is held for")
-    parser.add_argument("--episodes-a-draw", type=int, default=4, help="episodes after which new levels are drawn")
+    parser.add_argument("--episodes-per-draw", type=int, default=4, help="episodes after which new levels are drawn")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--replay", nargs=3, metavar=("SIZE", "EPISODE", "WORLD"), help="run one world alone")
     parser.add_argument("--json", type=output_file, help="write the result here")
     args = parser.parse_args()
     if args.worlds is None:
         args.worlds = WORLDS_GPU if jax.default_backend() == "gpu" else WORLDS_CPU
-    for name in ("steps", "worlds", "frame_skip", "episodes_a_draw"):
+    for name in ("steps", "worlds", "frame_skip", "episodes_per_draw"):
         if not getattr(args, name) >= 1:
             parser.error(f"--{name.replace('_', '-')} is {getattr(args, name)}; give 1 or more")
     if EPISODE_STEPS % args.frame_skip:
@@ -356,7 +356,7 @@ def main() -> int:
         args.json.write_text(json.dumps(result, indent=1) + "\n")
     for failure in result["failures"][:10]:
         again = f"python bench/soak.py --seed {args.seed} --preset {args.preset} --frame-skip {args.frame_skip}"
-        again += f" --episodes-a-draw {args.episodes_a_draw}"
+        again += f" --episodes-per-draw {args.episodes_per_draw}"
         print(f"not finite: {again} --replay {failure['size']} {failure['episode']} {failure['world']}")
     return 1 if result["failures"] else 0
 

@@ -156,14 +156,14 @@ def body_of(area: float, second_moment: float, options: BodyOptions, capacity: C
 
 
 def _extended(o: BodyOptions, capacity: Capacity, *, has_mass: bool) -> dict[str, float]:
-    """Fields of dimension E, where the capacity has room for them."""
+    """Fields of dimension E, where the capacity has them."""
     values = {"surface_speed": number("surface_speed", o.surface_speed)}
     for name in ("linear_damping", "angular_damping", "rolling_resistance"):
         values[name] = not_negative(name, getattr(o, name))
     given = [name for name, value in values.items() if value]
     if given and not capacity.extended_shapes:
         raise SceneError(
-            f"{given[0]} is {values[given[0]]:g}, but this capacity has no room for it; build with "
+            f"{given[0]} is {values[given[0]]:g}, but this capacity has no slots for it; build with "
             "Capacity(extended_shapes=True)"
         )
     if not has_mass and (damped := [name for name in given if name.endswith("damping")]):

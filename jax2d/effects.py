@@ -43,7 +43,7 @@ EFFECTS = (
     "rolling_resistance",
     "external_forces",
 )
-EXTENDED = EFFECTS[-4:]  # what a capacity with extended shapes has room for
+EXTENDED = EFFECTS[-4:]  # effects of a capacity with extended shapes alone
 # The appendix of the paper has none of these, nor has the solver of preset `paper`.
 NOT_IN_PAPER = ("prismatic_joints", "brakes_and_servos", "springs", "kinematic_bodies", *EXTENDED)
 SLOTS = ("polygon_slots", "circle_slots", "joint_slots", "thruster_slots", "contact_slots")
@@ -76,7 +76,7 @@ class Effects:
     surface_speed: bool = False  # of shapes that may touch
     damping: bool = False  # of what can be pushed
     rolling_resistance: bool = False  # where a circle may touch
-    external_forces: bool = False  # of controls: wherever a shape with room for them can be pushed
+    external_forces: bool = False  # of controls: wherever a shape that has them can be pushed
     # Number of slots, from the first, in which anything is active
     polygon_slots: int = 0
     circle_slots: int = 0

@@ -131,7 +131,7 @@ def overlaps(scene: Scene, position: Array, angle: Array) -> jax.Array:
     x = jnp.asarray(position, jnp.float32)
     c, s = jnp.cos(angle[:polygons])[:, None], jnp.sin(angle[:polygons])[:, None]
     local = jnp.asarray(scene.shapes.vertices)
-    # Corners relative to the own centre, so that places far from the origin keep their precision.
+    # Corners relative to the own centre, so that positions far from the origin keep their precision.
     corner = jnp.stack([c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1]], -1)
     slot = jnp.arange(corner.shape[1])
     used = slot < scene.shapes.num_vertices[:, None]

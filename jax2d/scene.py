@@ -117,7 +117,7 @@ class Shapes:
         "n", bool, "moves as its velocity says, and nothing pushes it: it has no mass", empty=False
     )
     friction: Array = array("n", float, "coefficient", empty=1, at_least=0)
-    restitution: Array = array("n", float, "share of the speed kept", at_least=0, at_most=1)
+    restitution: Array = array("n", float, "share of the speed that a bounce leaves", at_least=0, at_most=1)
     vertices: Array = array(
         "P V 2",
         float,

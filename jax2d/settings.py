@@ -1,6 +1,6 @@
 """Solver settings and the named presets of them. A preset is a point on the accuracy-time curve.
 
-`paper` is the sequential-impulse solver of the Kinetix paper's appendix, kept for comparison; `standard`
+`paper` is the sequential-impulse solver of the Kinetix paper's appendix, for comparison; `standard`
 is soft-step sub-stepping as in Box2D v3 and is the default. Formulas stand in docs/engine_solver.md.
 """
 
@@ -12,19 +12,18 @@ import math
 import numbers
 from typing import Literal
 
-from jax2d.published_details import PUBLISHED_DETAILS
 from jax2d.whole_numbers import whole_number
 
 Solver = Literal["soft_step", "sequential_impulses"]
 
 # What soft_step takes a body to turn by at most, at max_angular_speed.
-MAX_TURN_A_SUBSTEP = 0.5  # rad; contacts are planes, and rotations a series of third order: 0.1 % off there, 7 % at 1
-MAX_TURN_A_STEP = 2.0  # rad; contact points turn by series that are 1 % off there, and 24 % at half a turn
+MAX_TURN_PER_SUBSTEP = 0.5  # rad; contacts are planes, and rotations a series of third order: 0.1 % off there, 7 % at 1
+MAX_TURN_PER_STEP = 2.0  # rad; contact points turn by series that are 1 % off there, and 24 % at half a turn
 
 
 def fastest_spin(dt: float, substeps: int) -> float:
     """rad/s, the most that `max_angular_speed` may be with soft_step."""
-    return min(MAX_TURN_A_SUBSTEP * substeps, MAX_TURN_A_STEP) / dt
+    return min(MAX_TURN_PER_SUBSTEP * substeps, MAX_TURN_PER_STEP) / dt
 
 
 def _is_finite(value: float) -> bool:
@@ -45,7 +44,7 @@ POSITIVE = {  # fields that cannot be 0, as others can
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings of the solver. Numbers are run-time parameters of a compiled engine, `solver`,
-    `friction_mixing`, `solver_batch_size` and `published_details` are compiled in."""
+    `friction_mixing` and `solver_batch_size` are compiled in."""
 
     solver: Solver = "soft_step"
     dt: float = 1 / 60  # s, one physics step
@@ -96,7 +95,6 @@ class Settings:
     motor_decay: float = 0.1  # s/rad, rho in p tanh((w - sA) rho)
     motor_fade_angle: float = 0.1  # rad before a limit within which a motor weakens
     solver_batch_size: int = 1  # contacts solved at a time from the same velocities; the published package's is 16
-    published_details: tuple[str, ...] = ()  # names from jax2d/published_details.py, for comparison with that package
 
     def __post_init__(self) -> None:
         self._check_types()
@@ -125,7 +123,6 @@ class Settings:
                 "another; use 1, or solver='sequential_impulses'"
             )
         self._check_turns()
-        self._check_published_details()
 
     def _check_turns(self) -> None:
         """A body that turns too far at a time passes through what is in its way."""
@@ -134,8 +131,9 @@ class Settings:
             raise ValueError(
                 f"Settings.max_angular_speed is {self.max_angular_speed:g}: a body could turn by "
                 f"{self.max_angular_speed * self.substep_seconds:.2g} rad a sub-step and "
-                f"{self.max_angular_speed * self.dt:.2g} rad a step, and contacts hold for {MAX_TURN_A_SUBSTEP:g} and "
-                f"{MAX_TURN_A_STEP:g}; lower it to {fastest:.4g}, lower dt or raise substeps"
+                f"{self.max_angular_speed * self.dt:.2g} rad a step, and contacts hold for "
+                f"{MAX_TURN_PER_SUBSTEP:g} and {MAX_TURN_PER_STEP:g}; lower it to {fastest:.4g}, "
+                "lower dt or raise substeps"
             )
 
     def _check_types(self) -> None:
@@ -151,23 +149,6 @@ class Settings:
                     raise ValueError(f"{name} is {value}; it must be finite and not negative")
             elif field.type == "bool" and not isinstance(value, bool):
                 raise ValueError(f"{name} is {value!r}; it must be True or False")
-            elif field.type == "tuple[str, ...]" and not isinstance(value, tuple):
-                raise ValueError(f"{name} is {value!r}; it must be a tuple of names")
-
-    def _check_published_details(self) -> None:
-        details = self.published_details
-        if unknown := [name for name in details if name not in PUBLISHED_DETAILS]:
-            raise ValueError(f"Settings.published_details has {unknown[0]!r}; known: {', '.join(PUBLISHED_DETAILS)}")
-        if details and self.solver == "soft_step":
-            raise ValueError(
-                f"Settings.published_details has {details[0]!r}, but soft_step is another solver than the published "
-                "one; use (), or solver='sequential_impulses'"
-            )
-        if "last_pair" in details and self.solver_batch_size == 1:
-            raise ValueError(
-                "Settings.published_details has 'last_pair', which needs batches that can be less than full; leave it "
-                "out, or set solver_batch_size=16"
-            )
 
     @property
     def substep_seconds(self) -> float:

@@ -49,6 +49,7 @@ class Removed:
 
 # Path before -> why it is gone. Stored values that are off are left out.
 REMOVED: dict[str, Removed] = {
+    "env.physics.published_details": Removed(why="details of the published package are for its tests", off=([], ())),
     "curriculum.learnable_only": Removed(why="it gained nothing", off=(False,)),
     "env.effect_groups": Removed(why="one engine for all worlds is as fast"),
     "rollout.random_start_share": Removed(why="exploring starts gave nothing", off=(0.0,)),

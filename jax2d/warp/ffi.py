@@ -170,11 +170,6 @@ class WarpBackend:
                 f"Settings.solver_batch_size is {settings.solver_batch_size}; backend 'warp' solves contacts one after "
                 "another: use 1, or backend='xla'"
             )
-        if settings.published_details:
-            raise ValueError(
-                f"Settings.published_details has {settings.published_details[0]!r}; backend 'warp' follows the paper "
-                "alone: use (), or backend='xla'"
-            )
         self.capacity = capacity
         self.num_contact_slots = capacity.contact_slots
         self.rows = Layout(capacity, report_contacts).rows()

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Capacity, Scene
 from jax2d.solver_numbers import Scalar, SolverNumbers
-from jax2d.xla import published, published_order, vec2
+from jax2d.xla import vec2
 from jax2d.xla.bodies import Bodies, Pair, pair_mass, pair_up, pair_velocities, relative_velocity
 from jax2d.xla.geometry import Geometry
 from jax2d.xla.manifolds import Points
@@ -54,9 +54,6 @@ class Contacts(NamedTuple):
     overflow: jax.Array  # [] int32, points that found no slot
     each_substep: jax.Array  # [] bool, what is found does not hold for the whole step: something turns or hits too fast
     predicted: TravelPrediction
-    solve_order: (
-        published_order.SolveOrder | None
-    )  # when each is solved, where the published package's order is requested
 
 
 class ContactCache(NamedTuple):
@@ -94,6 +91,17 @@ class Context(NamedTuple):
     capacity: Capacity
 
 
+class PointsInUse(NamedTuple):
+    """Contact points [K] that exist, first and in order of pairs, their shapes, and fields of `Contacts`."""
+
+    points: Points
+    a: jax.Array  # [K] int32
+    b: jax.Array
+    overflow: jax.Array
+    each_substep: jax.Array
+    predicted: TravelPrediction
+
+
 def find(
     bodies: Bodies,
     geometry: Geometry,
@@ -104,11 +112,22 @@ def find(
 ) -> Contacts:
     """Points of all pairs that may touch within `dt`, compacted into the slots of `cache`. `is_start` [] bool: nothing
     has acted yet in this sub-step."""
+    found = _points_in_use(bodies, geometry, context, dt, slots=cache.key.shape[0])
+    return from_points(found, bodies, geometry, cache, context, dt, is_start)
+
+
+def from_points(
+    found: PointsInUse,
+    bodies: Bodies,
+    geometry: Geometry,
+    cache: ContactCache,
+    context: Context,
+    dt: Scalar,
+    is_start: jax.Array | bool = True,
+) -> Contacts:
+    """Contacts at points that were found, with the impulses of the step before."""
     scene, params, rules, _ = context
-    predicted = predict_travel(bodies, geometry, dt)
-    points, a, b, overflow, each_substep, solve_order = _points_in_use(
-        bodies, geometry, predicted, context, dt, slots=cache.key.shape[0]
-    )
+    points, a, b, overflow, each_substep, predicted = found
     pair = pair_up(bodies, a, b, points.exists)
     friction_a, friction_b = scene.shapes.friction[a], scene.shapes.friction[b]
     restitution = jnp.minimum(scene.shapes.restitution[a], scene.shapes.restitution[b])
@@ -168,33 +187,25 @@ def find(
         overflow=overflow,
         each_substep=each_substep,
         predicted=predicted,
-        solve_order=solve_order,
     )
 
 
 def _points_in_use(
     bodies: Bodies,
     geometry: Geometry,
-    predicted: TravelPrediction,
     context: Context,
     dt: Scalar,
     *,
     slots: int,
-) -> tuple[Points, jax.Array, jax.Array, jax.Array, jax.Array, published_order.SolveOrder | None]:
-    """Points [slots] that exist, first and in order of pairs; their shapes a and b; and fields of `Contacts`."""
+) -> PointsInUse:
     scene, params, rules, capacity = context
+    predicted = predict_travel(bodies, geometry, dt)
     is_soft = rules.is_soft
     reach = params.speculative_distance if is_soft else 0.0
     if capacity.shapes == 1:  # no pair at all, one slot
         zeros, none = jnp.zeros((slots, 2), bodies.position.dtype), jnp.zeros(slots, jnp.int32)
-        return (
-            Points(zeros, zeros, zeros[:, 0], none, zeros[:, 0], none > 0, none > 0),
-            none,
-            none,
-            none[0],
-            none[0] > 0,
-            None,
-        )
+        points = Points(zeros, zeros, zeros[:, 0], none, zeros[:, 0], none > 0, none > 0)
+        return PointsInUse(points, none, none, none[0], none[0] > 0, predicted)
     pairs = pair_list(capacity)
     margin = margins(predicted, reach, ahead=is_soft)
     points = collide(geometry, bodies, capacity, margin, dt, params.h, rules)
@@ -204,22 +215,13 @@ def _points_in_use(
     swept = ((arm * turn)[:, None] + predicted.distance[None]) * turn[:, None]  # [n, n] m, by one against the other
     rotates_too_far = is_soft & (arm > 0)[:, None] & (swept > reach)
     exists = points.exists & scene.shapes.can_touch[pairs.point_a, pairs.point_b]
-    if "fixed_slots" in rules.published_details:
-        exists &= ~published.is_fixed_pair(pairs, capacity)
     one, other = pairs.point_a, pairs.point_b
     each_substep = jnp.any(exists & (rotates_too_far[one, other] | rotates_too_far[other, one]))
     source = jnp.argsort(~exists, stable=True)[:slots]
-    solve_order = published_order.solve_order(points.exists, scene, bodies.is_dynamic, pairs, capacity, rules)
-    points, solve_order = jax.tree.map(lambda x: x[source], (points._replace(exists=exists), solve_order))
+    points = jax.tree.map(lambda x: x[source], points._replace(exists=exists))
     overflow = jnp.maximum(jnp.sum(exists, dtype=jnp.int32) - slots, 0)
-    return (
-        points,
-        jnp.asarray(pairs.point_a)[source],
-        jnp.asarray(pairs.point_b)[source],
-        overflow,
-        each_substep,
-        solve_order,
-    )
+    a, b = jnp.asarray(pairs.point_a)[source], jnp.asarray(pairs.point_b)[source]
+    return PointsInUse(points, a, b, overflow, each_substep, predicted)
 
 
 def _hits_hard(

@@ -36,15 +36,21 @@ from jax2d.xla.bodies import (
 )
 from jax2d.xla.branching import choose
 from jax2d.xla.drives import Servo, servo_of, speed_towards
-from jax2d.xla.joint_masses import (
+from jax2d.xla.rows import (
     Constraints,
+    Jacobian,
+    arms,
+    current_gap,
     held_answer,
     held_mass,
     inverse_driven_mass,
+    inverse_mass,
+    push,
+    speed_along,
     welded_mass,
+    work_of_kinematic,
     wrong_of_drive,
 )
-from jax2d.xla.rows import Jacobian, arms, current_gap, inverse_mass, push, speed_along, work_of_kinematic
 from jax2d.xla.rules import Rules
 from jax2d.xla.springs import SpringImpulses, Springs
 

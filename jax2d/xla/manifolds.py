@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
 from jax2d.solver_numbers import Scalar
-from jax2d.xla import impact_plane, published, vec2
+from jax2d.xla import impact_plane, vec2
 from jax2d.xla.geometry import Polygons
 from jax2d.xla.rules import Rules
 
@@ -30,6 +30,15 @@ class Points(NamedTuple):
     on_face: jax.Array  # [...] bool, b is a disc on a face of a
 
 
+class Motion(NamedTuple):
+    """Motion of shape b against shape a, which goes on so for `seconds`, in sub-steps of `h`."""
+
+    velocity: jax.Array  # [2] m/s, of the centre of b
+    spin: jax.Array  # [] rad/s, of a
+    seconds: Scalar
+    h: Scalar  # s
+
+
 def circle_circle(
     radius_a: jax.Array,
     radius_b: jax.Array,
@@ -44,9 +53,8 @@ def circle_circle(
     distance = vec2.length(d)
     separation = distance - radius_a - radius_b
     normal = vec2.unit_or_zero(d)
-    if "coincident_circles" not in rules.published_details:
-        # Coincident centres have no direction of their own: any fixed one separates them.
-        normal = jnp.where(distance > C.coincident_distance, normal, jnp.array([0, 1], d.dtype))
+    # Coincident centres have no direction of their own: any fixed one separates them.
+    normal = jnp.where(distance > C.coincident_distance, normal, jnp.array([0, 1], d.dtype))
     exists = (separation <= margin)[None]
     if rules.is_soft:
         plane = impact_plane.of_corner(d, relative_velocity, radius_a + radius_b, 0.0)
@@ -63,16 +71,13 @@ def polygon_circle(
     polygon: Polygons,
     radius: jax.Array,
     centre: jax.Array,
-    relative_velocity: jax.Array,
-    spin: jax.Array,
+    motion: Motion,
     margin: jax.Array,
-    seconds: Scalar,
     *,
     rules: Rules,
 ) -> Points:
-    """Contact point of a disc and one polygon, at most one, [1]; centre [2] m relative to it, relative_velocity [2] m/s
-    of the centre, spin [] rad/s of the polygon, `seconds` for which they move on so. In `paper` the point lies on the
-    polygon."""
+    """Contact point of a disc and one polygon, at most one, [1]; centre [2] m relative to it. In `paper` the point lies
+    on the polygon."""
     distances = jnp.where(polygon.is_corner, vec2.dot(polygon.normal, centre - polygon.corner), -C.far_distance)
     face = jnp.argmax(distances)
     face_distance = distances[face]
@@ -91,14 +96,12 @@ def polygon_circle(
     exists = (face_distance - radius <= margin) & (separation <= margin)
     if rules.is_soft:
         graze = jnp.minimum(C.grazing_distance, C.grazing_share * radius)
-        motion = relative_velocity - vec2.left(centre) * spin  # as a point of the polygon there sees it
-        plane = impact_plane.of_polygon(polygon, centre, radius, motion, seconds, graze)
-        is_met = (separation > jnp.where(at_corner, -graze, 0)) & impact_plane.moves(motion) & plane.exists
+        velocity = motion.velocity - vec2.left(centre) * motion.spin  # as a point of the polygon there sees it
+        plane = impact_plane.of_polygon(polygon, centre, radius, velocity, motion.seconds, graze)
+        is_met = (separation > jnp.where(at_corner, -graze, 0)) & impact_plane.moves(velocity) & plane.exists
         normal = jnp.where(is_met, plane.normal, normal)
         separation = jnp.where(is_met, plane.separation, separation)
         on_face = jnp.where(is_met, plane.on_face, on_face)
     point = centre - normal * (radius + (0.5 if rules.is_soft else 1) * separation)
-    if "centre_inside" in rules.published_details:
-        normal, separation = published.centre_inside(normal, separation, face_distance, radius)
     feature, follows_b = jnp.zeros(1, jnp.int32), jnp.ones(1, centre.dtype)  # it stays below the disc's centre
     return Points(normal[None], point[None], separation[None], feature, follows_b, exists[None], on_face[None])

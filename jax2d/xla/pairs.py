@@ -13,7 +13,7 @@ from jax2d.scene import Capacity
 from jax2d.solver_numbers import Scalar
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.geometry import Geometry
-from jax2d.xla.manifolds import Points, circle_circle, polygon_circle
+from jax2d.xla.manifolds import Motion, Points, circle_circle, polygon_circle
 from jax2d.xla.polygon_pairs import polygon_polygon
 from jax2d.xla.rules import Rules
 
@@ -65,16 +65,12 @@ def collide(
         one = jax.tree.map(lambda x, i=a - first_a: x[i], geometry_a)
         other = jax.tree.map(lambda x, i=b - first_b: x[i], geometry_b)
         relative_velocity, spin = velocity[b] - velocity[a], omega[a]
-        if collide_one is polygon_polygon:
-            points = jax.vmap(functools.partial(polygon_polygon, seconds=seconds, h=h, rules=rules))(
-                one, other, d, relative_velocity, margin[a, b]
-            )
-        elif collide_one is polygon_circle:
-            collide_circle = functools.partial(polygon_circle, seconds=seconds, rules=rules)
-            points = jax.vmap(collide_circle)(one, other, d, relative_velocity, spin, margin[a, b])
+        collide_pair = functools.partial(collide_one, rules=rules)
+        if collide_one is circle_circle:
+            points = jax.vmap(collide_pair)(one, other, d, relative_velocity, margin[a, b])
         else:
-            collide_circles = functools.partial(circle_circle, rules=rules)
-            points = jax.vmap(collide_circles)(one, other, d, relative_velocity, margin[a, b])
+            motion, axes = Motion(relative_velocity, spin, seconds, h), Motion(0, 0, None, None)
+            points = jax.vmap(collide_pair, in_axes=(0, 0, 0, axes, 0))(one, other, d, motion, margin[a, b])
         near = bounds_overlap(geometry, a, b, d, margin[a, b])
         points = points._replace(exists=points.exists & near[:, None])
         found.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), points))

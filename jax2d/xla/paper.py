@@ -1,8 +1,12 @@
-"""The joint and motor rules of the Kinetix paper (appendices Joints, Motors), for preset paper."""
+"""Solver of preset `paper`: joints, motors and contacts by the appendix of the Kinetix paper.
+
+Contacts are sequential impulses, one after another or, as there, in batches.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +25,12 @@ from jax2d.xla.bodies import (
     relative_velocity,
     scatter_velocities,
 )
+from jax2d.xla.contact_solver import Row, rows_of, solve_friction, with_impulses
+from jax2d.xla.contacts import Contacts
 from jax2d.xla.joints import JointImpulses, Joints, arms
+from jax2d.xla.rules import Rules
+
+# Joints and motors
 
 
 def apply_motors(bodies: Bodies, joints: Joints, params: SolverNumbers) -> Bodies:
@@ -51,7 +60,7 @@ def warm_start(bodies: Bodies, joints: Joints) -> tuple[Bodies, Joints]:
     ), joints._replace(impulses=impulses)
 
 
-class Row(NamedTuple):
+class JointRow(NamedTuple):
     """A joint as an iteration needs it: nothing here changes while iterating."""
 
     pair: Pair
@@ -69,7 +78,7 @@ def solve(bodies: Bodies, joints: Joints, params: SolverNumbers) -> tuple[Bodies
     """One iteration over all joints: point (impulse along the relative velocity, velocity and positional correction),
     then the angle of fixed joints, or limits where they are exceeded."""
     arm_a, arm_b = arms(bodies, joints)
-    rows = Row(
+    rows = JointRow(
         pair=joints.pair,
         is_fixed=joints.is_fixed,
         is_limited=joints.is_limited & ~joints.is_fixed,
@@ -82,7 +91,7 @@ def solve(bodies: Bodies, joints: Joints, params: SolverNumbers) -> tuple[Bodies
     )
 
     def solve_one(
-        carry: tuple[Velocities, jax.Array], row_and_impulses: tuple[Row, JointImpulses]
+        carry: tuple[Velocities, jax.Array], row_and_impulses: tuple[JointRow, JointImpulses]
     ) -> tuple[tuple[Velocities, jax.Array], JointImpulses]:
         (velocities, delta), (row, impulses) = carry, row_and_impulses
         pair = row.pair
@@ -101,7 +110,7 @@ def solve(bodies: Bodies, joints: Joints, params: SolverNumbers) -> tuple[Bodies
 
 
 def solve_point(
-    of: PairVelocities, row: Row, impulses: JointImpulses, gap: jax.Array, share: jax.Array, params: SolverNumbers
+    of: PairVelocities, row: JointRow, impulses: JointImpulses, gap: jax.Array, share: jax.Array, params: SolverNumbers
 ) -> tuple[PairVelocities, JointImpulses]:
     pair = row.pair
     # The joint sits between the anchors, nearer to the heavier body's.
@@ -118,7 +127,7 @@ def solve_point(
 
 
 def solve_angular(
-    of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers
+    of: PairVelocities, row: JointRow, impulses: JointImpulses, params: SolverNumbers
 ) -> tuple[PairVelocities, JointImpulses]:
     speed = of.omega_b - of.omega_a
     held = -row.axial_mass * (speed + row.start_angle * params.fixed_angle_rate)
@@ -127,3 +136,58 @@ def solve_angular(
     angular_impulse = jnp.where(row.is_fixed, held, limited)
     total = jnp.where(row.is_fixed, impulses.angular_impulse + held, impulses.angular_impulse)
     return apply_angular_impulse(of, row.pair, angular_impulse), impulses._replace(angular_impulse=total)
+
+
+# Contacts
+
+
+def solve_hard(bodies: Bodies, contacts: Contacts, params: SolverNumbers, rules: Rules) -> tuple[Bodies, Contacts]:
+    """One iteration of sequential impulses (paper, appendix Collision Resolution): restitution target and penetration
+    bias in the numerator, accumulated impulse never negative, friction by Coulomb's law."""
+    work = (rows_of(contacts), wanted_speed(contacts, params))
+    velocities, (normal, tangent) = solve_work(bodies.velocities, work, rules.solver_batch_size)
+    contacts = with_impulses(contacts, normal, tangent)
+    return bodies._replace(velocities=velocities), contacts
+
+
+def solve_work(velocities: Velocities, work: Any, batch_size: int) -> tuple[Velocities, Any]:
+    """Solves all rows, `batch_size` at a time."""
+    if batch_size == 1:
+        return jax.lax.scan(solve_rows, velocities, work)
+    return _in_batches(solve_rows, velocities, work, batch_size)
+
+
+def wanted_speed(contacts: Contacts, params: SolverNumbers) -> jax.Array:
+    """[K] m/s at which contacts shall separate: undoes penetration, and bounces."""
+    bias = params.collision_correction / params.dt * jnp.maximum(-contacts.separation - params.slop, 0)
+    return bias - contacts.restitution * contacts.approach
+
+
+def solve_rows(velocities: Velocities, work: tuple[Row, jax.Array]) -> tuple[Velocities, tuple[jax.Array, jax.Array]]:
+    """Velocities after the impulses of one contact, or of several from the same velocities; their new totals."""
+    c, wanted = work
+    before = of = pair_velocities(c.pair, velocities)
+    vn = vec2.dot(c.normal, relative_velocity(of, c.arm_a, c.arm_b))
+    normal_total = jnp.maximum(c.impulse_normal + c.mass_normal * (wanted - vn), 0)
+    of = apply_impulse(of, c.pair, c.arm_a, c.arm_b, c.normal * (normal_total - c.impulse_normal)[..., None])
+    of, tangent_total = solve_friction(of, c, normal_total)
+    return scatter_velocities(velocities, c.pair, before, of), (normal_total, tangent_total)
+
+
+def _in_batches(solve: Callable, velocities: Velocities, rows: Any, batch_size: int) -> tuple[Velocities, Any]:
+    """Solves `batch_size` slots at a time from the same velocities; neighbouring slots fall into different batches.
+
+    Slots in use come first, so they are spread over as many batches as possible (paper, "Batched Impulse Resolution").
+    """
+    slots = jax.tree.leaves(rows)[0].shape[0]
+    batches = -(-slots // batch_size)
+
+    def split(x: jax.Array) -> jax.Array:
+        padded = jnp.concatenate([x, jnp.zeros((batches * batch_size - slots, *x.shape[1:]), x.dtype)])
+        return jnp.swapaxes(padded.reshape(batch_size, batches, *x.shape[1:]), 0, 1)
+
+    def join(x: jax.Array) -> jax.Array:
+        return jnp.swapaxes(x, 0, 1).reshape(batches * batch_size, *x.shape[2:])[:slots]
+
+    velocities, results = jax.lax.scan(solve, velocities, jax.tree.map(split, rows))
+    return velocities, jax.tree.map(join, results)

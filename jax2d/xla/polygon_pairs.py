@@ -11,11 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
-from jax2d.solver_numbers import Scalar
-from jax2d.xla import impact_plane, published, vec2
+from jax2d.xla import impact_plane, vec2
 from jax2d.xla.branching import choose
 from jax2d.xla.geometry import Polygons
-from jax2d.xla.manifolds import Points
+from jax2d.xla.manifolds import Motion, Points
 from jax2d.xla.rules import Rules
 from jax2d.xla.seams import Incident, slides_past
 
@@ -29,7 +28,7 @@ class Faces(NamedTuple):
     from_impact_plane: jax.Array  # [] bool, it was chosen by how they move on: see `impact_plane`
     is_met: jax.Array  # [] bool, and they meet there
     holds_for: jax.Array  # [] s for which they move fast and the face is not crossed, 0 if it is
-    motion: jax.Array  # [2] m/s, of the incident polygon against the reference
+    velocity: jax.Array  # [2] m/s, of the incident polygon against the reference
     onward: jax.Array  # [2] m by which the incident polygon is looked at where they will meet
     reference: Polygons
     incident: Polygons
@@ -71,48 +70,23 @@ def polygon_polygon(
     a: Polygons,
     b: Polygons,
     d: jax.Array,
-    relative_velocity: jax.Array,
+    motion: Motion,
     margin: jax.Array,
-    seconds: Scalar,
     *,
-    h: Scalar,
     rules: Rules,
 ) -> Points:
     """Contact points of two polygons, at most two, [2].
 
-    d [2] m: centre of b relative to centre of a; relative_velocity [2] m/s: how that changes; `seconds` for which it
-    goes on so, in sub-steps of `h` s. In `paper` points lie on the incident edge.
+    d [2] m: centre of b relative to centre of a. In `paper` points lie on the incident edge.
     """
-    details = rules.published_details
+    relative_velocity = motion.velocity
     zero = jnp.zeros_like(d)
     of_a, of_b = max_separation(a, zero, b, d), max_separation(b, d, a, zero)
     (depth_a, _), (depth_b, _) = of_a, of_b
-    faces = find_faces(a, b, d, of_a, of_b, relative_velocity, seconds, h, rules)
-    corners = find_corners(faces, rules)
-    clipped = clip(faces)
+    faces = find_faces(a, b, d, of_a, of_b, motion, rules)
     within = (depth_a <= margin) & (depth_b <= margin)
-    beside = corners.beside
-    if "clip_keeps_depth" in details:
-        ends = jnp.stack([faces.lower_end, faces.upper_end]) - faces.start
-        clipped = published.clip_and_keep_depth(ends, faces.normal, faces.length) + faces.start
-        beside = jnp.array(False)
-    clipped = clipped - faces.onward
-    clipped_separation = vec2.dot(clipped - faces.start, faces.normal)
-    clipped_feature = faces.base_feature + faces.incident_edge * C.feature_incident + jnp.arange(2)
-    clipped_point = clipped - _halfway(rules) * clipped_separation[:, None] * faces.normal
-
-    separation = jnp.where(beside, corners.separation, clipped_separation)
-    points = Points(
-        normal=jnp.where(beside & corners.is_outside & ~corners.by_face, corners.normal, faces.normal),
-        point=jnp.where(beside, corners.point, clipped_point),
-        separation=separation,
-        feature=jnp.where(beside, corners.feature, clipped_feature),
-        follows_b=jnp.broadcast_to(jnp.where(faces.flipped, 0.0, 1.0).astype(d.dtype), (2,)),  # the corners on a face
-        exists=jnp.where(beside, jnp.array([True, False]), True) & (separation <= margin),
-        on_face=jnp.zeros(2, bool),
-    )
-    if "deepest_depth" in details:
-        points = points._replace(separation=jnp.full(2, jnp.maximum(depth_a, depth_b)))
+    points = points_of(faces, rules)
+    points = points._replace(exists=points.exists & (points.separation <= margin))
     if rules.is_soft:
         points = _at_seams(points, faces, relative_velocity, margin)
     points = points._replace(
@@ -132,12 +106,35 @@ def polygon_polygon(
             on_face=points.on_face,
             exists=jnp.where(passes, jnp.array([True, False]) & (passing.separation <= margin) & within, points.exists),
         )
-    if details & {"warm_start_by_depth", "solve_order"}:
-        depth = separation
-        points = jax.tree.map(lambda x: jnp.where(depth[0] <= depth[1], x, x[::-1]), points)
-    if "warm_start_by_depth" in details:
-        points = points._replace(feature=jnp.arange(2, dtype=jnp.int32))
     return points
+
+
+def points_of(faces: Faces, rules: Rules) -> Points:
+    """Two points of the incident edge over the reference face, or one of corner against corner, outward of the face."""
+    corners, clipped = find_corners(faces, rules), clipped_points(faces, clip(faces), rules)
+    beside = corners.beside
+    return clipped._replace(
+        normal=jnp.where(beside & corners.is_outside & ~corners.by_face, corners.normal, clipped.normal),
+        point=jnp.where(beside, corners.point, clipped.point),
+        separation=jnp.where(beside, corners.separation, clipped.separation),
+        feature=jnp.where(beside, corners.feature, clipped.feature),
+        exists=jnp.where(beside, jnp.array([True, False]), True),
+    )
+
+
+def clipped_points(faces: Faces, clipped: jax.Array, rules: Rules) -> Points:
+    """Points at the ends [2, 2] m of the clipped incident edge."""
+    clipped = clipped - faces.onward
+    separation = vec2.dot(clipped - faces.start, faces.normal)
+    return Points(
+        normal=faces.normal,
+        point=clipped - _halfway(rules) * separation[:, None] * faces.normal,
+        separation=separation,
+        feature=faces.base_feature + faces.incident_edge * C.feature_incident + jnp.arange(2),
+        follows_b=jnp.broadcast_to(jnp.where(faces.flipped, 0.0, 1.0).astype(clipped.dtype), (2,)),  # corners on a face
+        exists=jnp.ones(2, bool),
+        on_face=jnp.zeros(2, bool),
+    )
 
 
 def max_separation(
@@ -158,21 +155,18 @@ def find_faces(
     d: jax.Array,
     of_a: tuple[jax.Array, jax.Array],
     of_b: tuple[jax.Array, jax.Array],
-    relative_velocity: jax.Array,
-    seconds: Scalar,
-    h: Scalar,
+    motion: Motion,
     rules: Rules,
 ) -> Faces:
     """`of_a`, `of_b`: what `max_separation` says of the edges of each."""
     (depth_a, edge_a), (depth_b, edge_b) = of_a, of_b
+    relative_velocity, seconds, h = motion.velocity, motion.seconds, motion.h
     zero = jnp.zeros_like(d)
     # The reference face is that of the clearly larger shape (a's if neither is) unless the other's is clearly better: a
     # floor holds its normal while what stands on it rocks.
     larger_b = b.extent > C.clearly_larger * a.extent
     advantage = jnp.where(larger_b, -C.flip_advantage, C.flip_advantage)
     flipped = depth_b > depth_a + advantage
-    if "reference_bias" in rules.published_details:
-        flipped = depth_b > depth_a + published.REFERENCE_BIAS_M
 
     from_impact_plane, holds_for, impact_edge, impact_seconds = (
         jnp.array(False),
@@ -194,8 +188,8 @@ def find_faces(
         from_impact_plane = passes & is_crossed & impact.exists
         flipped = jnp.where(from_impact_plane, impact.flipped, flipped)
         impact_edge, impact_seconds = impact.edge, jnp.where(from_impact_plane, impact.seconds, 0)
-    motion = jnp.where(flipped, -relative_velocity, relative_velocity)
-    onward = motion * impact_seconds
+    velocity = jnp.where(flipped, -relative_velocity, relative_velocity)
+    onward = velocity * impact_seconds
 
     ref, inc = choose(flipped, b, a), choose(flipped, a, b)
     ref_at, inc_at = choose(flipped, d, zero), choose(flipped, zero, d) + onward
@@ -217,7 +211,7 @@ def find_faces(
         from_impact_plane=from_impact_plane,
         is_met=impact_seconds > 0,
         holds_for=holds_for,
-        motion=motion,
+        velocity=velocity,
         onward=onward,
         reference=ref,
         incident=inc,
@@ -243,7 +237,7 @@ def find_corners(faces: Faces, rules: Rules) -> Corners:
     gap = inc_corner - ref_corner
     distance, face_separation = vec2.length(gap), vec2.dot(faces.normal, gap)
     # Where the path crosses the plane between two corners, but not the face, it passes: the face keeps them apart.
-    passes = (faces.holds_for > 0) & (distance * distance + vec2.dot(gap, faces.motion) * faces.holds_for < 0)
+    passes = (faces.holds_for > 0) & (distance * distance + vec2.dot(gap, faces.velocity) * faces.holds_for < 0)
     by_face = faces.from_impact_plane | passes
     face_separation = jnp.where(
         by_face, jnp.maximum(face_separation - vec2.dot(faces.normal, faces.onward), 0), face_separation

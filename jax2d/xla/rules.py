@@ -16,7 +16,6 @@ class Rules(NamedTuple):
     bounce_rounds: int
     impact_passes: int
     solver_batch_size: int
-    published_details: frozenset[str]  # of jax2d/published_details.py
     report_contacts: bool = False
 
     @property
@@ -32,6 +31,5 @@ def rules_of(settings: Settings, *, report_contacts: bool = False) -> Rules:
         settings.bounce_rounds,
         settings.impact_passes,
         settings.solver_batch_size,
-        frozenset(settings.published_details),
         report_contacts,
     )

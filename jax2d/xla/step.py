@@ -18,8 +18,6 @@ from jax2d.xla import (
     geometry,
     impact_propagation,
     paper,
-    paper_contacts,
-    published,
     reports,
 )
 from jax2d.xla import contacts as contacts_of
@@ -307,12 +305,11 @@ def paper_step(
     def iteration(carry: tuple[Bodies, Joints, Contacts], _: None) -> tuple[tuple[Bodies, Joints, Contacts], None]:
         bodies, joints, contacts = carry
         bodies, joints = paper.solve(bodies, joints, params)
-        bodies, contacts = paper_contacts.solve_hard(bodies, contacts, params, rules, capacity)
+        bodies, contacts = paper.solve_hard(bodies, contacts, params, rules)
         return (bodies, joints, contacts), None
 
     (bodies, joints, contacts), _ = jax.lax.scan(iteration, (bodies, joints, contacts), length=rules.substeps)
-    move = published.move_and_clip if "state_clips" in rules.published_details else bodies_of.move
-    bodies = move(bodies, params.dt, params.max_speed, params.max_angular_speed)
+    bodies = bodies_of.move(bodies, params.dt, params.max_speed, params.max_angular_speed)
     if tally is not None:
         tally = reports.add(tally, contacts)
     return _finish_contacts(Progress(bodies, joints, contacts, cache, *recorded, tally))

@@ -11,11 +11,10 @@ import pytest
 
 from jax2d import preset
 from jax2d.fidelity.closed_forms import CAPACITY, CLOSED_FORMS
-from jax2d.fidelity.closed_forms.motors import ARM_INERTIA, ARM_KG, ARM_M
-from jax2d.fidelity.extrema import bounce_heights, vertex, zero_crossings
+from jax2d.fidelity.closed_forms.joints import ARM_INERTIA, ARM_KG, ARM_M
 from jax2d.fidelity.simulator import Scenario, Simulator
 from jax2d.fidelity.study_scene import by_name
-from jax2d.fidelity.trajectory import Trajectory
+from jax2d.fidelity.trajectory import Trajectory, bounce_heights, vertex, zero_crossings
 from jax2d.fidelity.units import G, with_plain_friction
 
 DT = 1e-3  # s, of exact trajectories

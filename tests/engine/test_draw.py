@@ -1,4 +1,4 @@
-"""The rasteriser: areas, places, edges and errors of pictures of worlds."""
+"""The rasteriser: areas, positions, edges and errors of pictures of worlds."""
 
 from __future__ import annotations
 

@@ -353,10 +353,6 @@ def test_a_start_that_does_not_fit_its_scene_is_refused():
             "max_angular_speed is 50: .* and 2.5 rad a step, .*; lower it to 40, lower dt",
         ),
         ({"warm_start": 1}, "warm_start is 1; it must be True or False"),
-        (
-            {"solver": "sequential_impulses", "published_details": ["last_pair"]},
-            "published_details is .*; it must be a",
-        ),
     ],
 )
 def test_settings_of_another_kind_are_refused(settings: dict[str, Any], said: str):

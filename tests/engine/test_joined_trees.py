@@ -31,11 +31,11 @@ def tree(
     builder = SceneBuilder(capacity, gravity=(0, -G if hangs else 0))
     spin = 0.0 if hangs else rng.uniform(-5, 5)
     shapes: list[int] = []
-    places = [np.zeros(2)]
+    centres = [np.zeros(2)]
     for k in range(CAPACITY.polygons):
         if k:
-            places.append(places[rng.integers(k)] + rng.uniform(-0.2, 0.2, 2))
-        x, y = places[k]
+            centres.append(centres[rng.integers(k)] + rng.uniform(-0.2, 0.2, 2))
+        x, y = centres[k]
         width, height = rng.uniform(0.1, 0.6, 2)
         moves = {"fixed": True} if hangs and k == 0 else {"velocity": (-spin * y, spin * x), "angular_velocity": spin}
         density = float(np.exp(rng.uniform(-0.5, 0.5) * np.log(mass_ratio)))
@@ -43,7 +43,7 @@ def tree(
         shapes.append(builder.add_box(width=width, height=height, **body, **moves))
     for k in range(1, len(shapes)):
         other = int(rng.integers(k))
-        at = tuple((places[k] + places[other]) / 2 + rng.uniform(-outside, outside, 2))
+        at = tuple((centres[k] + centres[other]) / 2 + rng.uniform(-outside, outside, 2))
         join = builder.add_fixed_joint if rng.random() < share_of_welds else builder.add_revolute_joint
         join(shapes[other], shapes[k], at=at)
     return builder.build()

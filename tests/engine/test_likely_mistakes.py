@@ -125,11 +125,13 @@ def test_a_start_has_real_positions():
     scene = builder().build().scene
     nowhere: Any = None
     refused(lambda: engine().initial_state(scene, nowhere), "position is None; give one point for each", ValueError)
-    places = np.zeros((CAPACITY.shapes, 2))
-    for given in (places + 1j, jnp.asarray(places + 1j), (places + 1j).tolist()):
+    positions = np.zeros((CAPACITY.shapes, 2))
+    for given in (positions + 1j, jnp.asarray(positions + 1j), (positions + 1j).tolist()):
         refused(lambda x=given: engine().initial_state(scene, x), "position has complex numbers", ValueError)
     refused(
-        lambda: engine().initial_state(scene, places, velocity=places + 1j), "velocity has complex numbers", ValueError
+        lambda: engine().initial_state(scene, positions, velocity=positions + 1j),
+        "velocity has complex numbers",
+        ValueError,
     )
 
 
@@ -152,9 +154,9 @@ def still() -> Trajectory:
     b = SceneBuilder(Capacity(polygons=0, circles=1, joints=0, thrusters=0))
     b.add_circle(radius=1)
     scene, position, *_ = b.build()
-    places, rest = np.tile(position, (2, 1, 1)).astype(float), np.zeros((2, 1))
+    positions, rest = np.tile(position, (2, 1, 1)).astype(float), np.zeros((2, 1))
     return Trajectory(
-        scene=scene, interval=0.1, position=places, angle=rest, velocity=0 * places, angular_velocity=rest
+        scene=scene, interval=0.1, position=positions, angle=rest, velocity=0 * positions, angular_velocity=rest
     )
 
 
@@ -175,8 +177,8 @@ def test_files_with_little_in_them_are_refused(tmp_path):
     with np.load(path) as file:
         arrays = dict(file)
     without_gravity = {name: x for name, x in arrays.items() if name != "scene.gravity"}
-    for kept in ({"format": arrays["format"]}, without_gravity, arrays | {"colour": np.zeros(2)}):
-        np.savez(path, **kept)
+    for stored in ({"format": arrays["format"]}, without_gravity, arrays | {"colour": np.zeros(2)}):
+        np.savez(path, **stored)
         refused(lambda: Trajectory.load(path), "run.npz is no file that Trajectory.save wrote", ValueError)
 
 

@@ -83,8 +83,8 @@ def test_a_state_that_is_kept_is_not_written_over():
     scene, state = packed_worlds(one)
     before = [np.array(x) for x in jax.tree.leaves(state)]
     jax.block_until_ready(one.step_packed(scene, state, one.no_controls(NUM_WORLDS), num_steps=2))
-    for kept, now in zip(before, jax.tree.leaves(state), strict=True):
-        np.testing.assert_array_equal(kept, np.asarray(now))
+    for unchanged, now in zip(before, jax.tree.leaves(state), strict=True):
+        np.testing.assert_array_equal(unchanged, np.asarray(now))
     assert jnp.isfinite(state.bodies).all()
 
 

@@ -17,7 +17,7 @@ from jax2d import Engine, SceneBuilder, State, measure, stack_worlds
 from jax2d.fidelity import Trajectory, record_worlds
 from jax2d.fidelity.hard_scenes import CAPACITY as LARGE
 from jax2d.fidelity.hard_scenes import HardSceneBuilder
-from jax2d.fidelity.hard_scenes.structures import cantilever
+from jax2d.fidelity.hard_scenes.chains import cantilever
 from kinetix_dist.level.level import SIZES
 from tests.engine.worlds import CAPACITY, builder, engine, run
 
@@ -292,7 +292,7 @@ def test_limit_stops_an_arm_without_a_jump():
     assert m.angle[-1, arm] == pytest.approx(-1.0, abs=math.radians(0.5))
 
 
-# Slots, places, cost
+# Slots, positions, cost
 
 
 def test_every_slot_behaves_alike():

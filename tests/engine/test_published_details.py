@@ -1,4 +1,4 @@
-"""Preset `paper` follows its appendix; each name in `Settings.published_details` does what the published package does.
+"""Preset `paper` follows its appendix; each detail of bench/published_solver.py does what the published package does.
 
 Hand-worked cases first; then single steps recorded from the package (jax2d 1.0.2); where it is installed, new ones.
 """
@@ -14,20 +14,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bench import published_order, published_solver
 from bench.paper_single_steps import PUBLISHED, agreement, step
 from bench.peer_process import PUBLISHED_JAX2D_STEPS, PeerMissing
+from bench.published_order import Published
+from bench.published_solver import DETAILS
 from bench.published_steps import Steps, load, run_published
 from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
 from jax2d.constants import CONSTANTS
-from jax2d.published_details import PUBLISHED_DETAILS
 from jax2d.scene import Controls, only_what_acts
 from jax2d.solver_numbers import solver_numbers
-from jax2d.xla import contacts, geometry, joints, paper, published, published_order
+from jax2d.xla import contacts, geometry, joints, paper
 from jax2d.xla.bodies import Bodies, Velocities
 from jax2d.xla.contact_solver import rows_of
 from jax2d.xla.contacts import ContactCache, Contacts, Context
 from jax2d.xla.pairs import pair_list
-from jax2d.xla.rules import Rules, rules_of
+from jax2d.xla.rules import rules_of
 from tests.helpers import REPOSITORY
 
 FOUR = Capacity(polygons=2, circles=2, joints=0, thrusters=0)
@@ -36,8 +38,8 @@ RECORDED = Path(__file__).parent / "published_steps_m.npz"
 DT = 1 / 60
 
 
-def rules(*details: str, batch_size: int = 1) -> Rules:
-    return rules_of(preset("paper").replace(published_details=details, solver_batch_size=batch_size))
+def published(*details: str, batch_size: int = 1) -> Published:
+    return Published(frozenset(details), batch_size)
 
 
 def at_rest(position: np.ndarray, angle: np.ndarray) -> Bodies:
@@ -60,19 +62,22 @@ def at_rest(position: np.ndarray, angle: np.ndarray) -> Bodies:
 
 
 @functools.partial(jax.jit, static_argnums=1)
-def _find(world: BuiltWorld, rules: Rules) -> Contacts:
+def _find(world: BuiltWorld, details: Published) -> Contacts:
     b = at_rest(jnp.asarray(world.position), jnp.asarray(world.angle))
     slots = FOUR.contact_slots
     memory = ContactCache(jnp.full(slots, -1), jnp.zeros((slots, 2)))
     params = solver_numbers(preset("paper"))
     scene = only_what_acts(world.scene)
-    return contacts.find(b, geometry.build(scene, b), memory, Context(scene, params, rules, FOUR), DT)
+    context = Context(scene, params, rules_of(preset("paper")), FOUR)
+    if not details.details:
+        return contacts.find(b, geometry.build(scene, b), memory, context, DT)
+    return published_solver.find(b, geometry.build(scene, b), memory, context, details)[0]
 
 
 def found(b: SceneBuilder, *details: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(normal [c, 2], point [c, 2] in world coordinates, separation [c], feature [c]) of the contacts of a world."""
     world = b.build()
-    c = jax.tree.map(np.asarray, _find(world, rules(*details)))
+    c = jax.tree.map(np.asarray, _find(world, published(*details)))
     used = c.key >= 0
     first = np.argmax(c.pair.is_a[used], axis=1)
     feature_bits = (1 << CONSTANTS.feature_bits) - 1
@@ -177,8 +182,8 @@ def test_clip_keeps_depth() -> None:
     b = SceneBuilder(FOUR)
     b.add_box(width=1, height=1, position=(0, -0.5))
     b.add_polygon(corners)
-    clipped, kept = found(b, "reference_bias"), found(b, "reference_bias", "clip_keeps_depth")
-    for seen, depth in ((clipped, 0.002 + 0.008 * 0.8 / 1.2), (kept, 0.01)):
+    clipped, deep = found(b, "reference_bias"), found(b, "reference_bias", "clip_keeps_depth")
+    for seen, depth in ((clipped, 0.002 + 0.008 * 0.8 / 1.2), (deep, 0.01)):
         close(sorted(seen[2]), [-depth, -0.002])
         close(sorted(seen[1].tolist()), [(-0.3, -0.002), (0.5, -depth)])
 
@@ -215,7 +220,7 @@ def test_fixed_slots() -> None:
     assert len(found(b, "fixed_slots")[2]) == 1  # of the circle
     six = Capacity(polygons=6, circles=1, joints=0, thrusters=0)
     pairs = pair_list(six)
-    fixed = published.is_fixed_pair(pairs, six)
+    fixed = published_order.is_fixed_pair(pairs, six)
     assert {(a, b) for a, b in zip(pairs.point_a[fixed], pairs.point_b[fixed])} == {
         (a, b) for b in range(4) for a in range(b)
     }
@@ -252,14 +257,13 @@ def turns(in_contact: list[tuple[int, int]], *details: str, batch_size: int, joi
     names = [(int(i), int(j)) for i, j in zip(pairs.point_a, pairs.point_b)]
     overlaps = jnp.array([name in in_contact for name in names])
     dynamic = jnp.ones(MANY.shapes, bool)
-    r = rules("solve_order", *details, batch_size=batch_size)
+    r = published("solve_order", *details, batch_size=batch_size)
     found = published_order.solve_order(overlaps, scene, dynamic, pairs, MANY, r)
-    assert found is not None
     return {pair: [int(found.batch[k]) for k, name in enumerate(names) if name == pair] for pair in in_contact}
 
 
 def test_solve_order() -> None:
-    """Pairs in contact have the last places of their kind; neighbours fall into different batches.
+    """Pairs in contact have the last ranks of their kind; neighbours fall into different batches.
 
     Batches of 4: 10 pairs of polygons in 3 batches, deepest points first (0 to 2), other points next (3 to 5); 15 of
     polygon and circle in 4 batches (6 to 9), circle by circle; 3 of circles in batch 10.
@@ -275,7 +279,7 @@ def test_solve_order() -> None:
 
 
 def test_solve_order_counts_overlapping_shapes_of_one_body() -> None:
-    """0 and 3 overlap. Held together they have the last place, although they are not solved; kept apart they do not."""
+    """0 and 3 overlap. Held together they have the last rank, although they are not solved; kept apart they do not."""
     overlapping = [(0, 1), (0, 2), (0, 3)]
     assert turns(overlapping, batch_size=4, joined=True)[(0, 1)][0] == 7 % 3
     assert turns(overlapping, batch_size=4, joined=False)[(0, 1)][0] == 8 % 3
@@ -283,7 +287,7 @@ def test_solve_order_counts_overlapping_shapes_of_one_body() -> None:
 
 def test_solve_order_without_pairs_of_fixed_slots() -> None:
     """4 pairs of polygons are left, in 1 batch for their deepest points and 1 for the others."""
-    assert published_order.num_batches(MANY, rules("solve_order", "fixed_slots", batch_size=4)) == 1 + 1 + 4 + 1
+    assert published_order.num_batches(MANY, published("solve_order", "fixed_slots", batch_size=4)) == 1 + 1 + 4 + 1
     assert turns([(0, 4)], "fixed_slots", batch_size=4, joined=False)[(0, 4)] == [0, 1]
 
 
@@ -298,12 +302,14 @@ def test_batches_of_a_turn_are_solved_one_after_another() -> None:
     expected = {
         1: [-0.25, 0.5, -0.25],  # one after the other: 0.5 against -1 closes at 1.5, shared
         3: [0, 0.5, -0.5],  # both at once
-        2: [0.25, 0.25, -0.5],  # places 1 and 2 of 3 fall into batches 1 and 0: the right one first
+        2: [0.25, 0.25, -0.5],  # ranks 1 and 2 of 3 fall into batches 1 and 0: the right one first
     }
     for batch_size, velocity in expected.items():
-        settings = preset("paper").replace(substeps=1, solver_batch_size=batch_size, published_details=("solve_order",))
-        one = Engine(balls, settings=settings, backend="xla")
-        close(one.step(world.scene, one.initial_state(*world))[0].velocity[:, 0], velocity)
+        one = Engine(balls, settings=preset("paper").replace(substeps=1), backend="xla")
+        start = (world.scene, one.initial_state(*world), one.no_controls())
+        batch = jax.tree.map(lambda x: jnp.asarray(x)[None], start)
+        details = published("solve_order", batch_size=batch_size)
+        close(published_solver.step(balls, one.settings, details, *batch)[0].velocity[0, :, 0], velocity)
 
 
 @pytest.mark.parametrize(
@@ -314,9 +320,8 @@ def test_last_pair_of_a_kind_is_dropped_unless_batches_are_full(batch_size: int,
     pairs = pair_list(MANY)
     nothing = jnp.zeros(len(pairs.point_a), bool)
     scene = jax.tree.map(jnp.asarray, only_what_acts(SceneBuilder(MANY).build().scene))
-    r = rules("last_pair", batch_size=batch_size)
+    r = published("last_pair", batch_size=batch_size)
     seen = published_order.solve_order(nothing, scene, jnp.zeros(MANY.shapes, bool), pairs, MANY, r)
-    assert seen is not None
     dropped = np.asarray(seen.is_dropped)
     last = {"polygons": [(3, 4), (3, 4)], "polygon and circle": [(4, 7)], "circles": [(6, 7)]}
     assert sorted(zip(pairs.point_a[dropped], pairs.point_b[dropped])) == sorted(
@@ -330,9 +335,9 @@ def test_arms_follow_joints() -> None:
     b.add_circle(radius=0.5)
     b.add_circle(radius=0.5, position=(0.9, 0.1))
     world = b.build()
-    rows = rows_of(_find(world, rules()))
+    rows = rows_of(_find(world, published()))
     moved = at_rest(world.position, world.angle)._replace(delta=jnp.zeros((4, 2)).at[CIRCLE].set((0.1, 0.0)))
-    followed = published.arms_from_here(moved, rows)
+    followed = published_solver.arms_from_here(moved, rows)
     close(followed.arm_a[0], rows.arm_a[0] - np.array([0.1, 0]))
     close(followed.arm_b[0], rows.arm_b[0])
     tangent = np.array([rows.normal[0, 1], -rows.normal[0, 0]])
@@ -346,7 +351,7 @@ def test_state_clips() -> None:
     """Positions stop at 15 m while velocity is kept; a component of 120 m/s has moved the body before it is clipped."""
     before = at_rest(np.array([[14.9, 0.0], [0.0, 0.0]]), np.zeros(2))
     before = before._replace(velocities=Velocities(jnp.array([[20.0, 0.0], [120.0, 50.0]]), jnp.array([0.0, -60.0])))
-    ended = published.move_and_clip(before, DT, 100.0, 50.0)
+    ended = published_solver.move_and_clip(before, DT, 100.0, 50.0)
     close(ended.position + ended.delta, [(15, 0), (2, 50 * DT)])
     close(ended.velocities.velocity, [(20, 0), (100, 50)])
     close(ended.velocities.omega, [0, -50])
@@ -386,20 +391,11 @@ def test_the_package_takes_the_same_steps(public_levels: Path, tmp_path: Path) -
         assert_agrees(steps, dtype)
 
 
-# Settings
-
-
-def test_details_that_cannot_act_are_refused() -> None:
-    with pytest.raises(ValueError, match="'mass_defects'; known: reference_bias, "):
-        preset("paper").replace(published_details=("mass_defects",))
-    with pytest.raises(ValueError, match="soft_step"):
-        preset("standard").replace(published_details=("deepest_depth",))
-    with pytest.raises(ValueError, match="solver_batch_size=16"):
-        preset("paper").replace(published_details=("last_pair",))
-    with pytest.raises(ValueError, match="backend='xla'"):
-        Engine(FOUR, settings=preset("paper").replace(published_details=("deepest_depth",)))
+def test_unknown_details_are_refused() -> None:
+    with pytest.raises(ValueError, match="'mass_defects' is no detail; known: reference_bias, "):
+        published_solver.step(FOUR, preset("paper"), published("mass_defects"), *[None] * 3)  # type: ignore[arg-type]
 
 
 def test_every_detail_is_documented() -> None:
     text = (REPOSITORY / "docs" / "engine_solver.md").read_text()
-    assert [name for name in PUBLISHED_DETAILS if f"`{name}`" not in text] == []
+    assert [name for name in DETAILS if f"`{name}`" not in text] == []

@@ -278,7 +278,7 @@ def test_kernel_and_reference_are_alike_over_episodes_and_chaos_separates_them()
     nudged, _ = rollout("m", settings, "warp", num_steps, nudge=1e-7)
 
     def parted(a: State, b: State) -> np.ndarray:
-        """[num_steps, W] m, largest distance between the two places of any shape."""
+        """[num_steps, W] m, largest distance between the two positions of any shape."""
         return np.linalg.norm(a.position - b.position, axis=-1).max(-1)
 
     backends, chaos = parted(kernel, reference), parted(kernel, nudged)

@@ -145,7 +145,7 @@ def test_sweep_is_bitwise_the_test_of_every_pair(name: str, preset_name: str) ->
 
 
 def test_several_steps_a_call_are_bitwise_single_steps() -> None:
-    """The order of a sweep is kept from step to step of a call; who touched is gathered over them."""
+    """The order of a sweep stays from step to step of a call; who touched is gathered over them."""
     engine = engine_of("standard", sweeps=True)
     worlds = [make() for make in WORLDS.values()]
     scene = stack_worlds([world.scene for world in worlds])
@@ -158,7 +158,7 @@ def test_several_steps_a_call_are_bitwise_single_steps() -> None:
 
 
 def test_sweep_knows_shapes_by_slot_where_slots_are_left_out() -> None:
-    """Circles keep their slots behind the polygons that an engine for these effects has no room for."""
+    """Circles keep their slots behind the polygons that an engine for these effects has no slots for."""
     world = WORLDS["most slots unused"]()
     effects = effects_of(world.scene)
     assert effects.polygon_slots < CAPACITY.polygons

@@ -18,7 +18,7 @@ from kinetix_dist.cli.train import longer, parse
 from kinetix_dist.config import EvaluationConfig, differences, from_dict, from_dict_for_playing, to_dict
 from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
-from kinetix_dist.env.physics import describe
+from kinetix_dist.env.env_config import describe
 from kinetix_dist.level import sets
 from kinetix_dist.level.generator_config import LOCOMOTION_FAMILIES, GeneratorConfig, generator
 from kinetix_dist.recipes import FAMILY_WEIGHTS, recipe
@@ -410,7 +410,7 @@ def test_a_generator_is_replaced_first_and_single_fields_after_it():
 @pytest.mark.parametrize("field", dataclasses.fields(Settings), ids=lambda field: field.name)
 def test_every_field_of_the_physics_can_be_given_on_the_command_line(field):
     other = {"solver": "sequential_impulses", "friction_mixing": "root_sum_square", "warm_start": False, "dt": 0.02}
-    if field.name in ("solver_batch_size", "published_details"):
+    if field.name == "solver_batch_size":
         pytest.skip("of the reference backend alone: refused below")
     value = other.get(field.name, 3 if isinstance(field.default, int) else 0.75)
     config = parse(["--recipe", "tiny", f"--env.physics.{field.name}", str(value)]).config
@@ -439,7 +439,7 @@ def test_a_family_of_mechanisms_that_a_size_has_no_room_for(capsys, options, siz
     parse(["--recipe", "tiny", "--curriculum.generator", "runner", "--env.size", "l"])
     assert "Settings.substeps is 0" in _refusal(capsys, "--recipe", "tiny", "--env.physics.substeps", "0")
     line = _refusal(capsys, "--env.preset", "paper", "--env.physics.solver_batch_size", "16")
-    assert "environments are stepped by the kernel: use 1 and ()" in line
+    assert "environments, solves one contact after another: use 1" in line
 
 
 def test_an_action_space_that_training_has_no_policy_for(capsys, monkeypatch):

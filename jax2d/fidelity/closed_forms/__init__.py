@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-from jax2d.fidelity.closed_forms import (
-    contact_groups,
-    free_motion,
-    friction,
-    impacts,
-    joints,
-    motors,
-    pendulums,
-)
+from jax2d.fidelity.closed_forms import contact_groups, free_motion, friction, impacts, joints
 from jax2d.fidelity.closed_forms.form import CAPACITY
 from jax2d.fidelity.study_scene import by_name
 
 __all__ = ["CAPACITY", "CLOSED_FORMS"]
 
-SUBJECTS = (free_motion, friction, impacts, pendulums, joints, motors, contact_groups)
+SUBJECTS = (free_motion, friction, impacts, joints, contact_groups)
 CLOSED_FORMS = by_name([scene for subject in SUBJECTS for scene in subject.FORMS.scenes])

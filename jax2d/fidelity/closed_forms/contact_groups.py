@@ -6,9 +6,8 @@ import math
 
 from jax2d.builder import SceneBuilder
 from jax2d.fidelity.closed_forms.form import ClosedForms, distance, relative_error
-from jax2d.fidelity.extrema import peak
 from jax2d.fidelity.study_scene import Error
-from jax2d.fidelity.trajectory import Trajectory
+from jax2d.fidelity.trajectory import Trajectory, peak
 
 FORMS = ClosedForms()
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from jax2d.builder import SceneBuilder
 from jax2d.fidelity.closed_forms.form import ClosedForms, distance, relative_error
-from jax2d.fidelity.extrema import bounce_heights, peak, vertex
 from jax2d.fidelity.study_scene import Error
-from jax2d.fidelity.trajectory import Trajectory
+from jax2d.fidelity.trajectory import Trajectory, bounce_heights, peak, vertex
 
 FORMS = ClosedForms()
 

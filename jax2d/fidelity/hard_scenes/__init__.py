@@ -6,24 +6,13 @@ than time (tunnelling, a thousand bounces) stand in tests/engine.
 
 from __future__ import annotations
 
-from jax2d.fidelity.hard_scenes import (
-    chains,
-    extremes,
-    machines,
-    masonry,
-    motors,
-    overlaps,
-    sliders,
-    sliding,
-    stacks,
-    structures,
-)
+from jax2d.fidelity.hard_scenes import chains, extremes, machines, sliding, stacks
 from jax2d.fidelity.hard_scenes.scene import CAPACITY, Check, HardScene, HardSceneBuilder
 from jax2d.fidelity.study_scene import by_name
 
 __all__ = ["CAPACITY", "Check", "HardScene", "HardSceneBuilder", "hard_scenes"]
 
-SUBJECTS = (stacks, overlaps, masonry, sliding, extremes, chains, structures, machines, motors, sliders)
+SUBJECTS = (stacks, sliding, extremes, chains, machines)
 
 
 def hard_scenes() -> list[HardScene]:

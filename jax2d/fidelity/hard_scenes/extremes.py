@@ -1,4 +1,4 @@
-"""Sizes and places at the ends of what float32 holds: huge, thin, tiny, far from the origin."""
+"""Sizes and positions at the ends of what float32 holds: huge, thin, tiny, far from the origin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-// In the place of springs.h in kernels without springs: nothing, of which nothing is kept.
+// Replaces springs.h in kernels without springs: an empty struct.
 
 struct Springs {
   enum { count = 0 };

@@ -3,7 +3,7 @@
 struct Softness {
   real bias_rate, mass_scale, impulse_scale;
 
-  // By value: with a pointer to one of both, all that they are part of would be kept in memory, not in registers.
+  // By value: with a pointer to one of both, all that they are part of would be in memory, not in registers.
   KFN static Softness either(bool is_first, const Softness& one, const Softness& other) {
     Softness a = one, b = other;
     return {is_first ? a.bias_rate : b.bias_rate, is_first ? a.mass_scale : b.mass_scale,

@@ -11,7 +11,7 @@ struct Sweep {
     int shape;
   };
   ARRAY(Sweep::Entry, sorted, SWEEP_SHAPES);
-  ARRAY(Sweep::Entry, spare, SWEEP_SHAPES);  // the order is kept from step to step, and then nearly right
+  ARRAY(Sweep::Entry, spare, SWEEP_SHAPES);  // the order stays from step to step, and then nearly right
   ARRAY(real, end, SWEEP_SHAPES);   // in sorted order, along the axis
   ARRAY(real, low, SWEEP_SHAPES);   // as `end` in sorted order, across the axis
   ARRAY(real, high, SWEEP_SHAPES);

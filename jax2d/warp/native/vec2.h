@@ -7,7 +7,7 @@
 typedef float real;
 #define KFN CUDA_CALLABLE inline
 
-// An array of a struct: in memory of its own, which ../native_arrays.py declares and points to. A GPU keeps what is used
+// An array of a struct: in memory of its own, which ../source.py declares and points to. A GPU keeps what is used
 // by an index in local memory, and with it all of the object that it is in: what is left of a struct is in registers.
 #define ARRAY(type, name, size) type* name
 
@@ -18,7 +18,7 @@ typedef float real;
 #define while _Pragma("unroll 1") while
 #endif
 
-// a b + c, rounded once on a GPU: said here and not left to the compiler, which fuses other places in every other kernel,
+// a b + c, rounded once on a GPU: said here and not left to the compiler, which fuses other operations in every other kernel,
 // so that kernels give other bits.
 struct Fused {
   static KFN real of(real a, real b, real c) {

@@ -1,9 +1,9 @@
-"""The order in which the published package solves contacts, for `Settings.published_details` solve_order, last_pair."""
+"""Order in which the published package (jax2d 1.0.2) solves contacts, for details "solve_order" and "last_pair"."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,12 +12,17 @@ import numpy as np
 from jax2d.scene import Capacity, Scene
 from jax2d.xla.bodies import Velocities
 from jax2d.xla.branching import choose
+from jax2d.xla.contact_solver import Row
 from jax2d.xla.pairs import PairList, pair_list
-from jax2d.xla.published import is_fixed_pair
-from jax2d.xla.rules import Rules
 
-if TYPE_CHECKING:
-    from jax2d.xla.contact_solver import Row
+FIXED_SLOTS = 4  # polygons meant for floor, walls and ceiling
+
+
+class Published(NamedTuple):
+    """Choice of details (names in `published_solver.DETAILS`), and of the contacts that a batch holds."""
+
+    details: frozenset[str]
+    batch_size: int = 16
 
 
 class SolveOrder(NamedTuple):
@@ -43,17 +48,22 @@ class Queue(NamedTuple):
     is_last: np.ndarray  # [points] bool, of the last pair of its group, whose last batches are not full
 
 
-def num_batches(capacity: Capacity, rules: Rules) -> int:
-    return int(_queue(pair_list(capacity), capacity, rules).batches.sum())
+def is_fixed_pair(pairs: PairList, capacity: Capacity) -> np.ndarray:
+    """[points] bool: both shapes are polygons in slots meant for floor and walls."""
+    return pairs.point_b < min(FIXED_SLOTS, capacity.polygons)
 
 
-def _queue(pairs: PairList, capacity: Capacity, rules: Rules) -> Queue:
+def num_batches(capacity: Capacity, published: Published) -> int:
+    return int(_queue(pair_list(capacity), capacity, published).batches.sum())
+
+
+def _queue(pairs: PairList, capacity: Capacity, published: Published) -> Queue:
     a, b = pairs.point_a, pairs.point_b
     is_circle_a, is_circle_b = a >= capacity.polygons, b >= capacity.polygons
     is_second = ~is_circle_b & (np.arange(len(a)) > 0) & (a == np.roll(a, 1)) & (b == np.roll(b, 1))
     group = np.where(is_circle_a, 3, np.where(is_circle_b, 2, np.where(is_second, 1, 0)))
     is_listed = np.ones(len(a), bool)
-    if "fixed_slots" in rules.published_details:
+    if "fixed_slots" in published.details:
         is_listed = ~is_fixed_pair(pairs, capacity)
     # Circle and polygon go circle by circle, all others by their first shape.
     major, minor = np.where(group == 2, b, a), np.where(group == 2, a, b)
@@ -61,25 +71,23 @@ def _queue(pairs: PairList, capacity: Capacity, rules: Rules) -> Queue:
     is_beside = (group[:, None] == group) & is_listed
     is_before = is_beside & (order < order[:, None])
     count = np.array([np.sum((group == g) & is_listed) for g in range(4)])
-    batches = -(-count // rules.solver_batch_size)
+    batches = -(-count // published.batch_size)
     is_last = np.zeros(len(a), bool)
     for g in range(4):
-        if count[g] % rules.solver_batch_size:
+        if count[g] % published.batch_size:
             is_last |= (group == g) & (order == np.max(order, where=(group == g) & is_listed, initial=-1))
     return Queue(group, is_before, is_beside, np.cumsum(batches) - batches, batches, count, is_last)
 
 
 def solve_order(
-    overlaps: jax.Array, scene: Scene, is_dynamic: jax.Array, pairs: PairList, capacity: Capacity, rules: Rules
-) -> SolveOrder | None:
-    """Order of all points; `overlaps` [points] bool says which exist. None where nothing depends on them.
+    overlaps: jax.Array, scene: Scene, is_dynamic: jax.Array, pairs: PairList, capacity: Capacity, published: Published
+) -> SolveOrder:
+    """Order of all points; `overlaps` [points] bool says which exist.
 
     Pairs in contact are spread over the batches of their group. Those of one body, held by joints, count too, although
     they are not solved.
     """
-    if not rules.published_details & {"solve_order", "last_pair"}:
-        return None
-    queue = _queue(pairs, capacity, rules)
+    queue = _queue(pairs, capacity, published)
     a, b = pairs.point_a, pairs.point_b
     is_one_body = _bodies_of_joints(scene, capacity.shapes)
     both_fixed = ~is_dynamic[a] & ~is_dynamic[b] & scene.shapes.active[a] & scene.shapes.active[b]
@@ -110,12 +118,11 @@ def in_turn(
     velocities: Velocities,
     rows: Row,
     wanted: jax.Array,
-    order: SolveOrder | None,
+    order: SolveOrder,
     num_batches: int,
 ) -> tuple[Velocities, Any]:
     """Solves in the published package's order: one batch after another, the contacts of each from the same
     velocities."""
-    assert order is not None
     pair, batch = rows.pair, order.batch
 
     def solve_batch(carry: tuple, now: jax.Array) -> tuple[tuple, None]:
