@@ -15,8 +15,7 @@ import pytest
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curricula import CURRICULA
-from kinetix_dist.curator.plr import Plr
-from kinetix_dist.curator.robust_plr import RobustPlr
+from kinetix_dist.curator.plr import Plr, RobustPlr
 from kinetix_dist.env import device_memory
 from kinetix_dist.env.device_memory import DeviceMemoryError
 from kinetix_dist.env.observations import OBSERVATIONS, EntityObservation
