@@ -17,8 +17,7 @@ import jax.numpy as jnp
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.env.observations import OBSERVATIONS, VECTOR, Moving, Observation
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.roles import Role
+from kinetix_dist.level.level import Level, Role
 
 
 class FromGreen(Observation):

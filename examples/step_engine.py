@@ -63,9 +63,8 @@ def main() -> None:
     gravity = float(np.abs(scene.gravity[1]))
     small_s = 2 * math.pi * math.sqrt((LENGTH_M**2 + RADIUS_M**2 / 2) / (gravity * LENGTH_M))
     print(f"{args.worlds} pendulums; small-angle formula: {small_s:.2f} s")
-    print(
-        f"period from {angles[0]:.2f} rad {4 * quarter_s[0]:.2f} s, from {angles[-1]:.2f} rad {4 * quarter_s[-1]:.2f} s"
-    )
+    for world in (0, -1):
+        print(f"period from {angles[world]:.2f} rad: {4 * quarter_s[world]:.2f} s")
 
     write_png(args.to, draw(scene, index_worlds(engine.unpack_state(packed), -1), view=(-1.5, -1.4, 1.5, 0.4)))
     print(f"wrote {args.to}")
