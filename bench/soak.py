@@ -41,7 +41,7 @@ from jax2d.measure import energy, max_work, overlaps
 from jax2d.scene import Array, Scene, State, index_worlds
 from jax2d.settings import PRESETS, Settings
 from kinetix_dist.env.action_spaces import ACTION_SPACES
-from kinetix_dist.env.actions import controls_of
+from kinetix_dist.env.action_spaces.space import controls_of
 from kinetix_dist.level.generator import GeneratorConfig, generate_level
 from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Level
 from kinetix_dist.level.walls import FLOOR_TOP_M

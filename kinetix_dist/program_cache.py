@@ -34,13 +34,15 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import jax
-from jax.sharding import Mesh, NamedSharding
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.installation import ENGINE
+from kinetix_dist.user_directories import cache_directory
+
+if TYPE_CHECKING:
+    import jax  # imported where it is used: commands that only name the directory run without it
+    from jax.sharding import Mesh
 
 OFF = "off"
 MIN_COMPILE_SECONDS = 0.3  # programs that compile faster are not worth a file, unless the environment says otherwise
@@ -56,6 +58,8 @@ def enable_compile_cache(setting: str) -> Path | None:
 
     setting: a directory, "" for `$JAX_COMPILATION_CACHE_DIR` or else the user's cache directory, "off" for no cache.
     """
+    import jax
+
     count_compile_seconds()
     if setting == OFF:
         jax.config.update("jax_enable_compilation_cache", False)
@@ -81,13 +85,14 @@ def directory_of(setting: str) -> Path:
 
 def default_directory() -> Path:
     """Directory of the cache where neither a setting nor the environment names one."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "kinetix-dist" / "jax"
+    return cache_directory() / "jax"
 
 
 def _let_every_rank_write() -> None:
     """Lets ranks above 0 write the cache on CPUs. JAX lets process 0 of a group write alone, but names programs by the
     topology as a process sees it. That differs from rank to rank on CPUs: ranks above 0 would compile at every start.
     """
+    import jax
     from jax._src import compiler, distributed  # there is no public way (jax 0.10)
 
     write = compiler._cache_write
@@ -114,6 +119,8 @@ _compile_lock = threading.Lock()
 
 def count_compile_seconds() -> None:
     """Begins to count, once a process."""
+    import jax
+
     if not _compile_seconds:
         _compile_seconds.append(0.0)
         jax.monitoring.register_event_duration_secs_listener(_add_compile_event)
@@ -140,6 +147,8 @@ def cached_file(kind: str, key: str, make: Callable[[], bytes]) -> bytes:
     kind: folder of the cache, and ending of the file's name. key: everything that the bytes depend on. A file begins
     with a checksum of key and content; one that does not fit is ignored with a warning and written again.
     """
+    import jax
+
     folder = jax.config.jax_compilation_cache_dir if jax.config.jax_enable_compilation_cache else None
     if not folder:
         return make()
@@ -319,6 +328,7 @@ def exported(
 
     function: of trees of arrays. shardings: gives those of the arguments, as a tree like them, where they matter.
     """
+    import jax
 
     @functools.cache
     def program(structure: Any, shapes: tuple[jax.ShapeDtypeStruct, ...], settings: Settings) -> Callable[..., Any]:
@@ -357,6 +367,9 @@ def exported_on_mesh(
     """Returns `exported(function, key)` as `jax.jit` would give it. in_specs, out_specs: of arguments and results on
     `mesh`, trees of `PartitionSpec`, each of which may stand for a whole tree of arrays."""
 
+    import jax
+    from jax.sharding import NamedSharding
+
     def shardings(*inputs: Any) -> Any:
         specs = jax.tree.broadcast(tuple(in_specs), inputs)
         return jax.tree.map(lambda _, spec: NamedSharding(mesh, spec), inputs, specs)
@@ -372,6 +385,7 @@ def current_settings() -> Settings:
 
 @functools.cache
 def _public_states() -> tuple[Any, ...]:
+    import jax
     from jax._src import config  # no public way lists them (jax 0.10)
 
     return tuple(state for state in config.config_states.values() if getattr(jax, state.__name__, None) is state)
@@ -400,6 +414,7 @@ def _stored(
 
 
 def _traced(function: Callable[..., Any], shapes: Sequence[jax.ShapeDtypeStruct], custom_calls: Sequence[str]) -> bytes:
+    import jax
     from jax import export
 
     from jax2d.warp import ffi  # here: a process that exports nothing does without
@@ -423,6 +438,7 @@ def _traced(function: Callable[..., Any], shapes: Sequence[jax.ShapeDtypeStruct]
 
 
 def _loaded(stored: _Stored) -> Callable[..., Any]:
+    import jax
     from jax import export
 
     for module in stored.modules:
@@ -439,4 +455,6 @@ def _versions() -> tuple[str, ...]:
 
 
 def _devices() -> tuple[str, str]:
+    import jax
+
     return jax.default_backend(), jax.local_devices()[0].device_kind

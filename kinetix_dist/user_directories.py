@@ -17,6 +17,11 @@ from pathlib import Path
 _OURS_ALONE = 0o700
 
 
+def cache_directory() -> Path:
+    """Directory of this project's caches in that of the user."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "kinetix-dist"
+
+
 @functools.cache
 def settle() -> str:
     """Makes HOME, XDG_CACHE_HOME and LOGNAME usable, once a process. Returns one line that says what was replaced;

@@ -16,13 +16,13 @@ import pytest
 from jax import export
 
 import kinetix_dist
-from kinetix_dist import program_cache
+from kinetix_dist import prng, program_cache
 from kinetix_dist.learner import update
 from kinetix_dist.program_cache import ProgramKey, cached_file, closure_of, exported
 from kinetix_dist.runtime.cores import rollout_core
 from tests.helpers import compile_cache
 
-KEY = ProgramKey(kind="programs", module="kinetix_dist.prng")
+KEY = ProgramKey(kind="programs", module=prng.__name__)
 
 
 @pytest.fixture
@@ -190,7 +190,7 @@ def test_a_source_that_changes_while_a_process_runs_keeps_its_programs_out_of_th
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its checksum is not of the code that this process runs: a process of the new code would read the old program."""
-    monkeypatch.setattr(program_cache, "_IMPORTED_AT", os.stat(program_cache.__file__).st_ctime - 1)
+    monkeypatch.setattr(program_cache, "_IMPORTED_AT", os.stat(prng.__file__).st_ctime - 1)
     forget_sources()
     with pytest.warns(RuntimeWarning, match="was changed after this process began"):
         np.testing.assert_array_equal(exported(lambda x: x + 1, KEY)(jnp.zeros(2)), 1)

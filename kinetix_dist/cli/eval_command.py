@@ -75,7 +75,7 @@ def run(args: Args) -> int:
     trained = trained_of(args)
     checkpoint = None if trained is None else trained.checkpoint
     from kinetix_dist.cli.checks import start_computing
-    from kinetix_dist.env.physics import describe
+    from kinetix_dist.env.env_config import describe
     from kinetix_dist.level.level_data import base_levels
     from kinetix_dist.level.sets import load_level_set
 

@@ -93,7 +93,7 @@ def _source(args: Generate) -> tuple[LevelGenerator, str, str]:
     if args.like is not None:
         return *_model(args, args.like), "like"
     if args.teacher is not None:
-        from kinetix_dist.curator.teacher_levels import teacher_levels
+        from kinetix_dist.curator.teacher import teacher_levels
         from kinetix_dist.trained_policy import newest_checkpoint_of
 
         trained, _ = newest_checkpoint_of(args.teacher)

@@ -178,7 +178,7 @@ def _run(args: Args, stop: StopSignals) -> None:
     from kinetix_dist.checkpoint import CheckpointError
     from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.env.device_memory import DeviceMemoryError
-    from kinetix_dist.env.physics import describe
+    from kinetix_dist.env.env_config import describe
     from kinetix_dist.models.kernels.support import KernelError
     from kinetix_dist.runtime import (
         PlacementError,

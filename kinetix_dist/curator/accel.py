@@ -21,7 +21,7 @@ from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.curator.buffer_share import by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
-from kinetix_dist.curator.robust_plr import RobustPlr
+from kinetix_dist.curator.plr import RobustPlr
 from kinetix_dist.level.generator import OVERSAMPLING, keep_unsolved
 from kinetix_dist.level.level import Level
 

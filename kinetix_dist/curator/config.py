@@ -24,7 +24,7 @@ class PlrConfig:
     of Jiang et al. for a few at a time, 87 % of those drawn by score would be one level.
     """
 
-    score: str = "max_mc"  # of `REPLAY_SCORES` in kinetix_dist/curator/replay_scores.py
+    score: str = "max_mc"  # of `REPLAY_SCORES` in kinetix_dist/curator/scores.py
     prioritisation: str = setting("rank", choices=PRIORITISATIONS)  # by rank, or "top_k": the best alike
     temperature: float = setting(1.0, above=0)  # beta; towards 0 only the best level is played
     top_k: int = setting(256, minimum=1)  # levels

@@ -17,13 +17,11 @@ from __future__ import annotations
 from kinetix_dist.curator.accel import Accel
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum
-from kinetix_dist.curator.domain_randomization import DomainRandomization
-from kinetix_dist.curator.fixed import Fixed
 from kinetix_dist.curator.paired import Paired
-from kinetix_dist.curator.plr import Plr
-from kinetix_dist.curator.robust_plr import RobustPlr
+from kinetix_dist.curator.plr import Plr, RobustPlr
 from kinetix_dist.curator.sfl import Sfl
 from kinetix_dist.curator.sfl_slices import SflSlices
+from kinetix_dist.curator.stateless import DomainRandomization, Fixed
 from kinetix_dist.level.size_mixture import counts_of
 from kinetix_dist.registry import Registry
 

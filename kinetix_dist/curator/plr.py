@@ -37,7 +37,7 @@ from kinetix_dist.curator.replay_buffer import (
     taken_in,
     with_returns,
 )
-from kinetix_dist.curator.replay_scores import NUM_EPISODES, REPLAY_SCORES, ValueSummary, summarise_values
+from kinetix_dist.curator.scores import NUM_EPISODES, REPLAY_SCORES, ValueSummary, summarise_values
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.level import Level
 from kinetix_dist.messages import LevelOutcome, Trajectory
@@ -136,3 +136,11 @@ class Plr(Curriculum):
             "curriculum/replay_score": score.mean() if score.size else np.nan,
             "curriculum/replay_age": age.mean() if age.size else np.nan,
         }
+
+
+class RobustPlr(Plr):
+    """Its worlds of the buffer are the first ones of each group."""
+
+    @classmethod
+    def num_trained(cls, config: CurriculumConfig, worlds_per_group: int) -> int:
+        return num_from_buffer(config, worlds_per_group)

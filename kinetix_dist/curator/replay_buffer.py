@@ -22,8 +22,7 @@ import numpy as np
 from jax2d.scene import Array
 from kinetix_dist.checkpoint import select_arrays
 from kinetix_dist.curator.config import PlrConfig
-from kinetix_dist.curator.replay_scores import UNKNOWN
-from kinetix_dist.curator.scores import solve_rate
+from kinetix_dist.curator.scores import UNKNOWN, solve_rate
 from kinetix_dist.level.features import FEATURES, features_of_arrays
 from kinetix_dist.level.level import Level, select_first
 from kinetix_dist.telemetry.curriculum_log import LEVELS

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from jax2d.scene import Capacity
-from jax2d.settings import Settings, preset
+from jax2d.settings import PRESETS, Settings, preset
 from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.level.level import SIZES
@@ -40,3 +40,16 @@ class EnvConfig:
     @property
     def capacity(self) -> Capacity:
         return SIZES[self.size]
+
+
+def describe(settings: Settings) -> str:
+    """ "standard", or "standard with substeps 8": the preset that fewest fields differ from, the first of equals."""
+    changed = {name: _differences(settings, known) for name, known in PRESETS.items()}
+    name = min(["standard", *changed], key=lambda preset: len(changed[preset]))
+    return f"{name} with {', '.join(changed[name])}" if changed[name] else name
+
+
+def _differences(settings: Settings, known: Settings) -> list[str]:
+    """Fields that differ, as "substeps 8"."""
+    names = [field.name for field in dataclasses.fields(settings)]
+    return [f"{name} {getattr(settings, name)}" for name in names if getattr(settings, name) != getattr(known, name)]

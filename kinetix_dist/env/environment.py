@@ -27,7 +27,7 @@ from jax2d.effects import Effects
 from jax2d.engine import Engine
 from jax2d.scene import Array, Capacity, Controls, Touching
 from kinetix_dist.env.action_spaces import ACTION_SPACES, ActionDistribution, ActionSpace
-from kinetix_dist.env.actions import controls_of
+from kinetix_dist.env.action_spaces.space import controls_of
 from kinetix_dist.env.device_memory import check_fits
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS, Moving, Observation

@@ -21,7 +21,7 @@ import numpy as np
 
 from jax2d.scene import Array, index_worlds
 from kinetix_dist import prng
-from kinetix_dist.env.actions import controls_of
+from kinetix_dist.env.action_spaces.space import controls_of
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels
 from kinetix_dist.evaluation.policies import Player, Policy, act, first_memory

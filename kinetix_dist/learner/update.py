@@ -42,7 +42,7 @@ from kinetix_dist.messages import StaticInput, Trajectory
 from kinetix_dist.models.gru import has_memory
 from kinetix_dist.models.kernels.cuda_kernel import CUSTOM_CALLS
 from kinetix_dist.models.kernels.support import traced_for
-from kinetix_dist.models.stored import stored
+from kinetix_dist.models.linear import stored
 from kinetix_dist.program_cache import ProgramKey, exported_on_mesh, is_cacheable
 
 METRICS = (*LOSS_METRICS, "grad_norm", "explained_variance", "skipped_steps", "learning_rate")

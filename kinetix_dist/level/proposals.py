@@ -177,9 +177,7 @@ def _choose_partner(
     wish = may_hold * wish * jnp.where(shapes.is_fixed, config.connect_to_fixed_factor, 1.0)
     wish_polygon, wish_circle = wish * is_polygon_slot, wish * ~is_polygon_slot * room_polygon
     any_polygon, any_circle = wish_polygon.sum() > 0, wish_circle.sum() > 0
-    wish_polygon, any_polygon = published.with_walls_to_join(
-        wish_polygon, any_polygon, may_hold, shapes.active & is_polygon_slot, config
-    )
+    wish_polygon, any_polygon = published.with_walls_to_join(wish_polygon, any_polygon, shapes, num_polygons, config)
     is_polygon = any_polygon & (~any_circle | (kind_draw < 0.5))
     slot = pick(jnp.where(is_polygon, wish_polygon, wish_circle), slot_draw)
     return Partner(slot=slot, shape=read_slot(shapes, slot), is_polygon=is_polygon, exists=any_polygon | any_circle)

@@ -20,14 +20,16 @@ from kinetix_dist.level.walls import WALL_CENTRES_M
 
 
 def with_walls_to_join(
-    wish_polygon: Array, any_polygon: Array, may_hold: Array, is_polygon: Array, config: GeneratorConfig
+    wish_polygon: Array, any_polygon: Array, shapes: Shapes, num_polygons: int, config: GeneratorConfig
 ) -> tuple[Array, Array]:
     """Weights of polygons to join, and whether there is one. Detail `joined_to_walls`: where every polygon holds two
-    joints, any is joined, walls too. is_polygon: active ones."""
+    joints, any is joined, walls too."""
     if "joined_to_walls" not in config.published_details:
         return wish_polygon, any_polygon
+    slots = jnp.arange(shapes.active.shape[0])
+    is_polygon = shapes.active & (slots < num_polygons)
     wish_polygon = jnp.where(~any_polygon, is_polygon * 1.0, wish_polygon)
-    return wish_polygon, (is_polygon & may_hold).any()
+    return wish_polygon, (is_polygon & (slots >= NUM_WALLS)).any()
 
 
 def with_wide_margin(half_width: Array, is_polygon: Array, is_long: Array, config: GeneratorConfig) -> Array:

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
-from kinetix_dist.models.stored import stored
+from kinetix_dist.models.linear import stored
 
 MAX_TOKENS = 32  # one mask row is one 32-bit word
 _MASKED_SCORE = -1e30

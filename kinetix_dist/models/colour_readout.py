@@ -20,8 +20,7 @@ from flax import linen as nn
 
 from jax2d.scene import Array
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS
-from kinetix_dist.models.contraction import linear
-from kinetix_dist.models.stored import stored_gradient
+from kinetix_dist.models.linear import linear, stored_gradient
 
 orthogonal = nn.initializers.orthogonal
 

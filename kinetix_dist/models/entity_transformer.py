@@ -40,8 +40,6 @@ from jax2d.scene import Array
 from kinetix_dist.env.observations.entities import JOINT_COLOUR, THRUSTER_COLOUR
 from kinetix_dist.models.attention import pack_mask
 from kinetix_dist.models.colour_readout import sum_by_colour
-from kinetix_dist.models.contraction import linear
-from kinetix_dist.models.dense import DenseParameters
 from kinetix_dist.models.gru import apply_towers
 from kinetix_dist.models.kernels.support import LayerShape, uses_fused
 from kinetix_dist.models.layer import (
@@ -52,6 +50,7 @@ from kinetix_dist.models.layer import (
     feed_forward_update,
     joint_ends,
 )
+from kinetix_dist.models.linear import DenseParameters, linear
 from kinetix_dist.models.norms import masked_mean, normalise
 from kinetix_dist.models.rows import take_rows
 from kinetix_dist.models.towers import TANH_GAIN, Towers

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array
 from kinetix_dist.models.attention import attend
-from kinetix_dist.models.contraction import contract, linear
 from kinetix_dist.models.gate import gate
+from kinetix_dist.models.linear import contract, linear
 from kinetix_dist.models.norms import norm_branch
 from kinetix_dist.models.rows import add_rows, take_rows
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
-from kinetix_dist.models.stored import stored
+from kinetix_dist.models.linear import stored
 
 NORM_EPSILON = 1e-6
 

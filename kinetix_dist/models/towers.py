@@ -13,8 +13,7 @@ from flax import linen as nn
 from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.models.colour_readout import ColourReadOut
-from kinetix_dist.models.contraction import linear
-from kinetix_dist.models.stored import stored_gradient
+from kinetix_dist.models.linear import linear, stored_gradient
 
 orthogonal = nn.initializers.orthogonal
 TANH_GAIN = math.sqrt(2.0)

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import pytest
 
+from jax2d.settings import preset
 from kinetix_dist.checkpoint import flatten_arrays, save_checkpoint
 from kinetix_dist.cli.eval_command import MAX_ROWS, table
 from kinetix_dist.cli.main import main
@@ -27,10 +28,8 @@ LEVELS = str(REPOSITORY / "levels" / "s")
 SHORT = EnvConfig(size="s", max_steps=8)
 
 
-def save_run(run: Path, policy: PolicyConfig, env_config: EnvConfig = SHORT, *, old_preset: str = "") -> Path:
-    """A run directory with one checkpoint of a policy that has not learned anything; returns the checkpoint.
-
-    old_preset: the checkpoint is as of a version that stored the name of a preset instead of its numbers."""
+def save_run(run: Path, policy: PolicyConfig, env_config: EnvConfig = SHORT) -> Path:
+    """A run directory with one checkpoint of a policy that has not learned anything; returns the checkpoint."""
     if policy.network == "flat":
         env_config = dataclasses.replace(env_config, observation="flat")
     config = TrainConfig(env=env_config, policy=policy, run=RunConfig(total_env_steps=1))
@@ -41,9 +40,6 @@ def save_run(run: Path, policy: PolicyConfig, env_config: EnvConfig = SHORT, *, 
     state = init_learner_state(params, adam(1e-3, epsilon=1e-5), jax.random.key(1))
     arrays = flatten_arrays({"learner": state})
     description = {"config": to_dict(config)}
-    if old_preset:
-        del description["config"]["env"]["physics"]
-        description["config"]["env"]["preset"] = old_preset
     return save_checkpoint(run / "checkpoints", 7, arrays, description, keep=1)
 
 
@@ -174,10 +170,10 @@ def test_a_flat_policy_cannot_play_another_size(tmp_path: Path, capsys: pytest.C
     assert "does not fit levels of size m: array" in error
 
 
-def test_a_policy_of_an_older_version_plays_with_its_preset_or_with_another(
+def test_a_policy_plays_with_its_physics_or_with_another_preset(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    checkpoint = save_run(tmp_path, TINY_POLICY, old_preset="draft")
+    checkpoint = save_run(tmp_path, TINY_POLICY, dataclasses.replace(SHORT, physics=preset("draft")))
     options = ["--checkpoint", str(checkpoint), "--levels", "s/kick", "--attempts", "1", "--no-baselines"]
     assert main(["eval", *options]) == 0
     assert "physics draft\n" in capsys.readouterr().out

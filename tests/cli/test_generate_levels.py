@@ -12,8 +12,7 @@ from kinetix_dist.checkpoint import flatten_arrays, save_checkpoint
 from kinetix_dist.cli.main import main
 from kinetix_dist.config import to_dict
 from kinetix_dist.curator.config import CurriculumConfig, PairedConfig
-from kinetix_dist.curator.teacher import Teacher
-from kinetix_dist.curator.teacher_levels import PARAMS_PREFIX
+from kinetix_dist.curator.teacher import PARAMS_PREFIX, Teacher
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.schema import load_level

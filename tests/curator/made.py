@@ -13,7 +13,7 @@ from kinetix_dist.actors.outcomes import no_outcomes
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools
-from kinetix_dist.curator.replay_scores import ValueSummary
+from kinetix_dist.curator.scores import ValueSummary
 from kinetix_dist.messages import LevelOutcome
 
 

@@ -12,8 +12,7 @@ from kinetix_dist.actors.outcomes import no_outcomes
 from kinetix_dist.config import ConfigError
 from kinetix_dist.curator.config import CurriculumConfig, PairedConfig
 from kinetix_dist.curator.curricula import curriculum_class
-from kinetix_dist.curator.paired import PairedSummary
-from kinetix_dist.curator.students import TwoStudents, in_groups, worlds_of
+from kinetix_dist.curator.paired import PairedSummary, TwoStudents, in_groups, worlds_of
 from kinetix_dist.learner.sharding import data_mesh, replicate
 from kinetix_dist.level.level import SIZES, Role
 from kinetix_dist.messages import Trajectory

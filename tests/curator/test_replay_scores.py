@@ -8,7 +8,7 @@ import pytest
 
 from kinetix_dist.actors.outcomes import no_outcomes
 from kinetix_dist.curator.replay_buffer import level_rates
-from kinetix_dist.curator.replay_scores import REPLAY_SCORES, UNKNOWN, summarise_values
+from kinetix_dist.curator.scores import REPLAY_SCORES, UNKNOWN, summarise_values
 from kinetix_dist.messages import Trajectory
 
 

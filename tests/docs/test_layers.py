@@ -27,8 +27,8 @@ LAYERS = (
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("child_python", "jax_checks", "prng", "program_cache", "registry", "setting", "text_files", "user_directories"),
-    ("atomic_files", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings"),
+    ("child_python", "jax_checks", "prng", "program_cache", "registry", "setting", "text_files"),
+    ("atomic_files", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings", "user_directories"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Subpackages of packages that have them, and which of the others each may import.

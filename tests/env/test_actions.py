@@ -13,7 +13,7 @@ import pytest
 
 from jax2d.scene import Controls
 from kinetix_dist.env.action_spaces import ACTION_SPACES, ActionSpace
-from kinetix_dist.env.actions import controls_of
+from kinetix_dist.env.action_spaces.space import controls_of
 from tests.helpers import REPOSITORY
 from tests.kinetix_package import VARIABLE
 

@@ -12,7 +12,7 @@ import pytest
 
 from jax2d.fields import empty
 from jax2d.scene import Capacity, JointKind, Scene
-from kinetix_dist.env.action_spaces.colours import bound_colours
+from kinetix_dist.env.action_spaces.space import bound_colours
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.env.observations.entities import (
     JOINT_COLOUR,

@@ -11,7 +11,7 @@ from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.proofs import replay
 from kinetix_dist.evaluation.search.best_first import Archive
 from kinetix_dist.evaluation.search.polish import polish
-from kinetix_dist.evaluation.search.random_search import MAX_HOLD, held_choices
+from kinetix_dist.evaluation.search.sampling import MAX_HOLD, held_choices
 from kinetix_dist.evaluation.search.solve import METHODS, Solved, Target, solve
 from kinetix_dist.evaluation.search.worlds import Budget, Worlds, useful_actions
 from kinetix_dist.level.level import Level

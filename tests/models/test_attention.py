@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kinetix_dist.models.attention import attend, pack_mask
-from kinetix_dist.models.contraction import contract
 from kinetix_dist.models.gate import gate
+from kinetix_dist.models.linear import contract
 from kinetix_dist.models.norms import NORM_EPSILON, normalise
 from kinetix_dist.models.rows import add_rows, take_rows
 

@@ -12,7 +12,7 @@ from flax import linen as nn
 
 from jax2d.scene import stack_worlds
 from kinetix_dist.actors.unroll import Played, Worlds, unroll
-from kinetix_dist.curator.students import TwoStudents
+from kinetix_dist.curator.paired import TwoStudents
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.evaluation.policies import NetworkPolicy, act, first_memory
 from kinetix_dist.learner.config import PpoConfig

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from kinetix_dist.models.linear import stored, stored_gradient
 from kinetix_dist.models.norms import NORM_EPSILON, masked_mean, norm_branch, normalise
-from kinetix_dist.models.stored import stored, stored_gradient
 
 X = np.random.default_rng(0).normal(1.0, 2.0, (3, 5, 8))
 MASK = np.array([[True, False, True, True, True], [False, False, False, False, True], [True] * 5])

@@ -9,7 +9,7 @@ import pytest
 
 from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint, newest_good
 from kinetix_dist.curator.config import CurriculumConfig, PairedConfig, PlrConfig, SlicesConfig
-from kinetix_dist.curator.teacher_levels import teacher_levels
+from kinetix_dist.curator.teacher import teacher_levels
 from kinetix_dist.learner.step_size import GUARD_FACTOR
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.runtime.cores.rollout_core import Batch, worlds_trained

@@ -18,7 +18,7 @@ from kinetix_dist.cli.train import longer, parse
 from kinetix_dist.config import EvaluationConfig, differences, from_dict, from_dict_for_playing, to_dict
 from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
-from kinetix_dist.env.physics import describe
+from kinetix_dist.env.env_config import describe
 from kinetix_dist.level import sets
 from kinetix_dist.level.generator_config import LOCOMOTION_FAMILIES, GeneratorConfig, generator
 from kinetix_dist.recipes import FAMILY_WEIGHTS, recipe

@@ -1,4 +1,4 @@
-"""Access by token, cookie, Host and Origin, and the headers of every response."""
+"""Access by token, cookie, Host, Origin and signed URL, and the headers of every response."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from kinetix_dist.studio.server.access import Access
+from kinetix_dist.studio.server.access import VALID_SECONDS, Access, UrlSigner
 from tests.studio.runs_for_tests import write_run
 from tests.studio.serving import Server, end, serving
 
@@ -118,3 +118,23 @@ def test_the_token_is_in_no_output_but_the_address(tmp_path: Path) -> None:
         output = end(server.process)
         assert isinstance(server.process, subprocess.Popen) and server.process.returncode == 0
     assert server.token not in output and output.strip() == ""
+
+
+def test_a_signature_is_valid_for_its_name_and_its_time() -> None:
+    signer = UrlSigner()
+    signature = signer.sign("a.rrd", now=1000.0)
+    assert signer.is_valid(signature, "a.rrd", now=1000.0 + VALID_SECONDS - 1)
+    assert not signer.is_valid(signature, "a.rrd", now=1000.0 + VALID_SECONDS)
+    assert not signer.is_valid(signature, "b.rrd", now=1000.0)
+    assert not UrlSigner().is_valid(signature, "a.rrd", now=1000.0), "the key is new with every start"
+
+
+@pytest.mark.parametrize("signature", ["", "-", "9999999999-", "x-y", "²-a", "99999999999999999999-a", "9999999999"])
+def test_what_is_no_signature_is_refused(signature: str) -> None:
+    assert not UrlSigner().is_valid(signature, "a.rrd", now=0.0)
+
+
+def test_a_later_time_needs_another_signature() -> None:
+    signer = UrlSigner()
+    until, _, code = signer.sign("a.rrd", now=1000.0).partition("-")
+    assert not signer.is_valid(f"{int(until) + 1}-{code}", "a.rrd", now=1000.0)

@@ -106,14 +106,14 @@ def test_damaged_runs_do_not_keep_others_from_being_compared(server: Server) -> 
     assert any(problem.startswith("list: config.json is damaged") for problem in found["problems"])
 
 
-def test_a_mistake_of_the_server_is_a_line_too(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_bug_in_the_server_is_a_line_too(caplog: pytest.LogCaptureFixture) -> None:
     async def handler(request: web.Request) -> web.StreamResponse:
         return json_response({"rate": float("nan")})
 
     request = make_mocked_request("GET", "/api/runs")
     answer = asyncio.run(one_line_errors(request, handler))
     assert isinstance(answer, web.Response) and answer.status == 500 and isinstance(answer.body, bytes)
-    assert json.loads(answer.body)["error"].startswith("a mistake of the server (ValueError: Out of range float")
+    assert json.loads(answer.body)["error"].startswith("a bug in the server (ValueError: Out of range float")
     assert "Traceback" in caplog.text and "/api/runs" in caplog.text
 
 

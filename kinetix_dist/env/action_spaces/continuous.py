@@ -7,8 +7,7 @@ import dataclasses
 import jax.numpy as jnp
 
 from jax2d.scene import Array
-from kinetix_dist.env.action_spaces.colours import bound_colours
-from kinetix_dist.env.action_spaces.space import ActionSpace
+from kinetix_dist.env.action_spaces.space import ActionSpace, bound_colours
 from kinetix_dist.env.action_spaces.truncated_normal import TruncatedNormal
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
 

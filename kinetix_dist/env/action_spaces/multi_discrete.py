@@ -9,8 +9,7 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array
 from kinetix_dist.env.action_spaces.categorical import Categorical
-from kinetix_dist.env.action_spaces.colours import bound_colours
-from kinetix_dist.env.action_spaces.space import ActionSpace
+from kinetix_dist.env.action_spaces.space import ActionSpace, bound_colours
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
 
 

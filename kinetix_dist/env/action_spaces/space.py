@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax2d.scene import Array
+from jax2d.scene import Array, Controls
 from kinetix_dist import prng
-from kinetix_dist.level.level import Level
+from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level, obeying_motors
 
 
 class ActionDistribution(Protocol):
@@ -133,3 +133,27 @@ class ActionSpace(abc.ABC):
                 f"action {np.asarray(actions)[index]} at {list(index)} is out of range; "
                 f"dimension {dimension} of {self.name} takes {self.low[dimension]:g} to {self.high[dimension]:g}"
             )
+
+
+def bound_colours(levels: Level) -> Array:
+    """[W, 6] bool, motor colours first: whether a motor or thruster of the level obeys it."""
+    thrusters, obeys = levels.scene.thrusters, obeying_motors(levels)
+    motors = jax.nn.one_hot(levels.motor_colour, NUM_MOTOR_COLOURS, dtype=bool) & obeys[..., None]
+    thrusts = jax.nn.one_hot(levels.thruster_colour, NUM_THRUSTER_COLOURS, dtype=bool) & thrusters.active[..., None]
+    return jnp.concatenate([motors.any(axis=-2), thrusts.any(axis=-2)], axis=-1)
+
+
+def controls_of(
+    space: ActionSpace, actions: Array, motor_colour: Array, motor_auto: Array, thruster_colour: Array
+) -> tuple[Controls, Array]:
+    """Controls of a batch of worlds and the number of actions out of range, [W] int32.
+
+    actions [W, 6] or [W] (see action_spaces/), motor_colour and motor_auto [W, J], thruster_colour [W, T].
+    """
+    allowed = space.in_range(actions)
+    colour_motor, colour_thruster = space.colour_values(actions, allowed)
+    motor = jnp.take_along_axis(colour_motor, motor_colour, axis=1)
+    motor = jnp.where(motor_auto, 1.0, motor)
+    thruster = jnp.take_along_axis(colour_thruster, thruster_colour, axis=1)
+    num_invalid = (~allowed).reshape(allowed.shape[0], -1).sum(axis=1, dtype=jnp.int32)
+    return Controls(motor=motor, thruster=thruster), num_invalid

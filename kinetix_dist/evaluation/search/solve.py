@@ -13,16 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from kinetix_dist.env.env_config import describe
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.env.physics import describe
 from kinetix_dist.evaluation.policies import Player
 from kinetix_dist.evaluation.proofs import replay
 from kinetix_dist.evaluation.search.best_first import best_first
 from kinetix_dist.evaluation.search.cross_entropy import cross_entropy
-from kinetix_dist.evaluation.search.from_stored import from_stored
-from kinetix_dist.evaluation.search.policy_search import policy_search
 from kinetix_dist.evaluation.search.polish import polish, rank, robustness
-from kinetix_dist.evaluation.search.random_search import random_search
+from kinetix_dist.evaluation.search.sampling import from_stored, policy_search, random_search
 from kinetix_dist.evaluation.search.worlds import Budget, Worlds, useful_actions
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.proof import Proof, level_hash

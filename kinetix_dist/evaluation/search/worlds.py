@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array, stack_worlds
-from kinetix_dist.env.actions import controls_of
+from kinetix_dist.env.action_spaces.space import controls_of
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import PreparedLevels
 from kinetix_dist.env.reward import goal_distance, judge

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.config import TrainConfig, to_dict
-from kinetix_dist.env.physics import describe
+from kinetix_dist.env.env_config import describe
 from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.cores.build import MODULES
 from kinetix_dist.runtime.driver.checkpoints import LINEAGE

@@ -156,7 +156,7 @@ def times_of_rows(table: SeriesTable, anchors: Sequence[tuple[int, float]]) -> n
     was resumed each have events of their own, so that the time in between is not counted as training.
     """
     if not anchors:
-        raise AxisError("no event of this run says at which update it happened; choose another axis than time")
+        raise AxisError("no event of this run names its update; choose another axis than time")
     updates = table.column("update")
     seconds = table.column("progress/seconds")
     anchor_update = np.array([update for update, _ in anchors], float)

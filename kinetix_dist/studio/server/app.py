@@ -99,7 +99,7 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
 async def one_line_errors(request: web.Request, handler: Handler) -> web.StreamResponse:
     """Middleware: turns what is wrong with a request or a file into one line.
 
-    Anything else is a bug: the console gets its traceback, and the page a line that says so.
+    Anything else is a bug: the console gets its traceback, and the page a line.
     """
     try:
         return await handler(request)
@@ -115,7 +115,9 @@ async def one_line_errors(request: web.Request, handler: Handler) -> web.StreamR
         raise
     except Exception as error:
         LOG.exception("a request was not answered: %s", request.path)
-        return error_response(500, f"a mistake of the server ({type(error).__name__}: {error}); its console says more")
+        return error_response(
+            500, f"a bug in the server ({type(error).__name__}: {error}); its console has the traceback"
+        )
 
 
 def _find_new_runs(service: RunService) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:

@@ -23,12 +23,12 @@ import aiohttp
 from aiohttp import web
 
 from kinetix_dist.child_python import command_of
-from kinetix_dist.program_cache import default_directory
 from kinetix_dist.studio.server.access import UrlSigner
 from kinetix_dist.studio.server.level_pages import recording_path
 from kinetix_dist.studio.server.responses import error_response, json_response
 from kinetix_dist.studio.server.run_service import RunService
 from kinetix_dist.studio.server.worker_client import WorkerClient
+from kinetix_dist.user_directories import cache_directory
 
 FILES = {"index.html": "text/html", "re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
 FOREIGN_LINKS = re.compile(rb'<link\b[^>]*href="https?://[^>]*>\s*')  # of its page: web fonts, which it does without
@@ -122,7 +122,7 @@ class RerunViewer:
             installed = version("rerun-sdk")
         except PackageNotFoundError:
             raise RerunError("rerun is not installed; install rerun-sdk, or use the player of this page") from None
-        folder = (self._cache or default_directory().parent) / f"rerun-web-{installed}"
+        folder = (self._cache or cache_directory()) / f"rerun-web-{installed}"
         async with self._fetching:
             if not all((folder / f"{name}.gz_").is_file() for name in FILES):
                 try:

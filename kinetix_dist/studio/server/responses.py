@@ -16,7 +16,7 @@ COMPRESS_FROM_BYTES = 1024
 
 
 class BadRequestError(ValueError):
-    """A request that makes no sense; one line says why."""
+    """A request that makes no sense, with the reason in one line."""
 
 
 def json_response(content: Any, *, status: int = 200) -> web.Response:

@@ -23,7 +23,7 @@ from kinetix_dist.studio.worker.wire import MAX_MESSAGE_BYTES, PROTOCOL_VERSION,
 SILENT_SECONDS = 120.0
 START_SECONDS = 120.0  # importing jax on a busy machine
 END_SECONDS = 3.0
-LOG_BYTES = 4096  # of its standard error, for the line that says why it ended
+LOG_BYTES = 4096  # of its standard error, for the reason of its end
 GONE, HUNG, OFF = "gone", "hung", "off"  # codes of errors that are not the worker's
 
 WORKER = "kinetix_dist.studio.worker.process"
@@ -186,7 +186,7 @@ class _Worker:
                 self._ended(WorkerError(GONE, "the engine worker ended, since it had no requests; try again"))
             else:
                 last = self._log.decode(errors="replace").strip().splitlines()[-1:]
-                why = f": {last[0]}" if last and status > 0 else ""  # one that was killed did not say why
+                why = f": {last[0]}" if last and status > 0 else ""  # a killed one has logged no reason
                 self._ended(WorkerError(GONE, f"the engine worker died (exit status {status}){why}; try again"))
         except ValueError as error:
             self._kill(WorkerError(GONE, f"the engine worker sent something that is no message ({error})"))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kinetix_dist.env.physics import describe
+from kinetix_dist.env.env_config import describe
 from kinetix_dist.evaluation.learnability import unbiased_learnability
 from kinetix_dist.evaluation.policies import distinct_attempts
 from kinetix_dist.level.level import Level

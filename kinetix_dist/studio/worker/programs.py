@@ -18,9 +18,8 @@ import numpy as np
 from jax2d.effects import names_of_bits
 from jax2d.scene import Array
 from kinetix_dist import prng
-from kinetix_dist.env.action_spaces.space import ActionSpace
+from kinetix_dist.env.action_spaces.space import ActionSpace, controls_of
 from kinetix_dist.env.action_spaces.truncated_normal import TruncatedNormal
-from kinetix_dist.env.actions import controls_of
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo

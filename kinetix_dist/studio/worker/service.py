@@ -182,7 +182,7 @@ class Service:
             self._refuse(request.fields, RequestError(BAD_REQUEST, one_line(error)))
         except Exception as error:  # a bug of ours: reported, logged, and the worker goes on
             traceback.print_exception(error)
-            text = f"a bug in the worker: {type(error).__name__}: {one_line(error)[:200]}; its log says more"
+            text = f"a bug in the worker: {type(error).__name__}: {one_line(error)[:200]}; its log has the traceback"
             self._refuse(request.fields, RequestError(FAILED, text))
         finally:
             self._end(request)

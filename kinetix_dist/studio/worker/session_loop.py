@@ -185,6 +185,6 @@ class SessionLoop:
             code = error.code
         else:
             traceback.print_exception(error)
-            text = f"session {number} ended by a bug in the worker: {type(error).__name__}; its log says more"
+            text = f"session {number} ended by a bug in the worker: {type(error).__name__}; its log has the traceback"
         self.close(running)
         self._outbox.send({"type": "error", "session": number, "code": code, "text": text})

@@ -37,14 +37,7 @@ def build_arm(draws: Draws, capacity: Capacity) -> Mechanism:
     behind = _behind_the_links(draws, towards)
     goal = jnp.maximum(0.6, draws.between(0.5, 0.9) * reach) * behind
     middle = jnp.stack([draws.between(1.8, WORLD_SIZE_M - 1.8), draws.between(FLOOR_TOP_M + 1.7, 3.2)])
-    return Mechanism(
-        parts=parts,
-        joints=joints,
-        task=Task(
-            middle=given(middle),
-            goal=goal,
-        ),
-    )
+    return Mechanism(parts=parts, joints=joints, task=Task(middle=given(middle), goal=goal))
 
 
 @family("reacher", polygons=2, circles=2, joints=2)
@@ -65,13 +58,7 @@ def build_reacher(draws: Draws, capacity: Capacity) -> Mechanism:
     x = draws.between(room, WORLD_SIZE_M - room)
     y = draws.between(FLOOR_TOP_M + room, jnp.minimum(3.2, WORLD_SIZE_M - room))
     return Mechanism(
-        parts=parts,
-        joints=joints,
-        task=Task(
-            middle=given(jnp.stack([x, y])),
-            goal=goal,
-            goal_is_green=goal_is_green,
-        ),
+        parts=parts, joints=joints, task=Task(middle=given(jnp.stack([x, y])), goal=goal, goal_is_green=goal_is_green)
     )
 
 

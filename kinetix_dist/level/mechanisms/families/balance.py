@@ -106,10 +106,7 @@ def build_beam(draws: Draws, capacity: Capacity) -> Mechanism:
         parts=parts,
         joints=joints,
         task=Task(
-            middle=given(middle),
-            goal=goal,
-            goal_radius=given(goal_radius),
-            floor_is_red=given(draws.chance(0.7)),
+            middle=given(middle), goal=goal, goal_radius=given(goal_radius), floor_is_red=given(draws.chance(0.7))
         ),
     )
 

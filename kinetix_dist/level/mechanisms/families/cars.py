@@ -79,11 +79,7 @@ def build_pusher(draws: Draws, capacity: Capacity) -> Mechanism:
         parts=parts,
         joints=car.joints,
         task=Task(
-            is_handed=True,
-            has_bump=False,
-            goal_rise_low=0.0,
-            goal_rise_span=0.1,
-            floor_is_red=given(jnp.array(False)),
+            is_handed=True, has_bump=False, goal_rise_low=0.0, goal_rise_span=0.1, floor_is_red=given(jnp.array(False))
         ),
     )
 

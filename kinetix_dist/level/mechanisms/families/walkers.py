@@ -67,9 +67,7 @@ def build_runner(draws: Draws, capacity: Capacity) -> Mechanism:
         parts=body.parts,
         joints=body.joints,
         task=Task(
-            is_handed=True,
-            drawn_nearness=given(jnp.where(goal_is_anywhere, 1, 2)),
-            colours_in_turn=colours_in_turn,
+            is_handed=True, drawn_nearness=given(jnp.where(goal_is_anywhere, 1, 2)), colours_in_turn=colours_in_turn
         ),
     )
 
@@ -157,11 +155,4 @@ def build_snake(draws: Draws, capacity: Capacity) -> Mechanism:
         )
         for link in range(num_links - 1)
     ]
-    return Mechanism(
-        parts=parts,
-        joints=joints,
-        task=Task(
-            goal_nearness=3,
-            floor_is_red=given(jnp.array(False)),
-        ),
-    )
+    return Mechanism(parts=parts, joints=joints, task=Task(goal_nearness=3, floor_is_red=given(jnp.array(False))))

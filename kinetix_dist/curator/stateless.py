@@ -1,8 +1,4 @@
-"""Fixed levels: a given set, spread evenly over the worlds.
-
-The levels are the state of the curriculum, not constants of the compiled programs: one program plays any levels of the
-same number and size, one after another (`finetune --each`).
-"""
+"""Curricula without a state: a fixed set of levels, and domain randomization, where every level is new."""
 
 from __future__ import annotations
 
@@ -12,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist import prng
 from kinetix_dist.curator.buffer_share import members
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.level.level import Level
@@ -40,3 +37,14 @@ class Fixed(Curriculum):
         del group_keys
         index = members(groups, self.tools.worlds_per_group) % state.position.shape[0]
         return Proposal(levels=jax.tree.map(lambda x: jnp.asarray(x)[index], state), source=index)
+
+
+class DomainRandomization(Curriculum):
+    """No state."""
+
+    sources = ("fresh",)
+
+    def propose(self, state: Any, group_keys: Array, groups: Array) -> Proposal:
+        del state, groups
+        fresh_keys = jax.vmap(prng.split)(group_keys)[:, 1]
+        return Proposal(levels=self.tools.draw_fresh(fresh_keys, self.tools.worlds_per_group))
