@@ -43,6 +43,7 @@ def main() -> None:
     # 3. A small network is trained on it from scratch. `--from generalist` begins with the bundled policy.
     run = args.to / "run"
     options = ["--run", str(run), "--run.total_env_steps", str(args.steps), "--evaluation.attempts", "20"]
+    options += ["--recording.num_rollouts", "0"]  # the film below takes their place
     assert kinetix_dist(["finetune", "--levels", str(level), *options]) == 0
     print(f"the trained policy solves {solve_rate(run, level):.0%} of its attempts")
 
