@@ -56,7 +56,7 @@ def test_what_is_found_is_stored_beside_the_level_and_checked(
 
     # A proof of another preset, and of the level before a change.
     status, lines = command(capsys, str(level_file), "--check", "--env.preset", "fine")
-    assert status == 1 and f"{stored}: preset: is 'standard', asked for is 'fine'" in lines[0]
+    assert status == 1 and f"{stored}: preset: is 'standard', requested is 'fine'" in lines[0]
     level_file.write_text(level_file.read_text().replace("[3.1, 0.85]", "[3.2, 0.85]"))
     status, lines = command(capsys, str(level_file), "--check")
     assert status == 1 and f"{stored}: level_sha256: is " in lines[0] and "0 of 1" in lines[1]

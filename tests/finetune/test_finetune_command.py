@@ -136,4 +136,4 @@ def test_a_directory_without_results_cannot_be_drawn(tmp_path: Path, capsys: pyt
     (tmp_path / "design.json").write_text('{"levels": {"kick": ""}}')
     (tmp_path / "scratch").mkdir()
     (tmp_path / "scratch" / "kick.json").write_text('{"level": "kick", "start": "scratch", "label": 3}')
-    assert "kick.json is damaged: 'label' is missing or of another kind" in _refusal(capsys, "--draw", str(tmp_path))
+    assert "kick.json is damaged: 'label' is missing or of another type" in _refusal(capsys, "--draw", str(tmp_path))
