@@ -7,6 +7,7 @@ rounding (docs/engine_solver.md). One step of one world reads as `step.paper_ste
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -109,7 +110,8 @@ def _paper_step(context: Context, state: State, controls: Controls, published: P
     move = move_and_clip if "state_clips" in details else bodies_of.move
     bodies = move(bodies, params.dt, params.max_speed, params.max_angular_speed)
     ended, last = bodies_of.end_step(bodies), contacts.cache_of(found)
-    after = state.replace(
+    after = dataclasses.replace(
+        state,
         position=ended.position,
         angle=ended.angle,
         velocity=ended.velocities.velocity,

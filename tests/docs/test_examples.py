@@ -15,7 +15,7 @@ from tests.helpers import REPOSITORY
 
 
 def run_example(name: str, *arguments: str) -> str:
-    """What it prints."""
+    """Output of a script of examples/."""
     command = [sys.executable, str(REPOSITORY / "examples" / name), *arguments]
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY), "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)

@@ -1,4 +1,4 @@
-"""Who may import whom. The layers stand in README.md under "Where things are"; this is the rule itself."""
+"""Layers: which package may import which. docs/architecture.md has the same table."""
 
 from __future__ import annotations
 

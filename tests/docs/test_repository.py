@@ -1,4 +1,4 @@
-"""What the repository promises whoever clones it: commands that exist, a lock that fits, no addresses in it."""
+"""Promises of the repository to a fresh clone: commands that exist, a lock that fits, no addresses in it."""
 
 from __future__ import annotations
 
