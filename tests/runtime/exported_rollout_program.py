@@ -1,7 +1,6 @@
 """Plays an update by the program of a run and prints how often it was traced and a checksum of all that it gave.
 
 python tests/runtime/exported_rollout_program.py CACHE
-python tests/runtime/exported_rollout_program.py --closures     # modules that run while programs are traced
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from unittest import mock
 import jax
 import numpy as np
 
-from kinetix_dist import program_cache
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.runtime.cores.rollout_core import Players, RolloutCore
 from kinetix_dist.runtime.cores.worker import Worker
@@ -44,37 +42,6 @@ def play(*, is_exported: bool = True) -> dict[str, Any]:
     return {"traced": traced.call_count, "content": content.hexdigest()}
 
 
-def modules_outside_of_closures() -> dict[str, list[str]]:
-    """Modules of this project that run while the programs of an update are traced and are not part of their keys."""
-    outside: dict[str, list[str]] = {}
-    stored = program_cache._stored
-
-    def watched(key: program_cache.ProgramKey, *arguments: Any) -> Any:
-        files: set[str] = set()
-        sys.setprofile(lambda frame, event, argument: files.add(frame.f_code.co_filename))
-        try:
-            return stored(key, *arguments)
-        finally:
-            sys.setprofile(None)
-            known = {str(program_cache._file_of(module)) for module in key.closure.modules}
-            ours = tuple(f"{folder}/" for folder in program_cache._DIRECTORIES.values())
-            outside[key.kind] = sorted(file for file in files - known if file.startswith(ours))
-
-    config = tiny_config(num_updates=2)
-    with mock.patch.object(program_cache, "_stored", watched):
-        worker = Worker(config, data_mesh(jax.devices()[:1]))
-        worker.start(None)
-        _, refreshed = worker.refresh(worker.released(), 0, 0, 1)
-        worker.adopt(refreshed)
-        core = worker._playing.rollout(config)
-        batch, _, _ = core.play(worker._learner.params, worker._state.on_devices, 0)
-        worker._learner.learn(*batch, env_steps=0)
-    return outside
-
-
 if __name__ == "__main__":
-    if sys.argv[1] == "--closures":
-        print(json.dumps(modules_outside_of_closures()))
-        sys.exit()
     with compile_cache(Path(sys.argv[1])):
         print(json.dumps(play()))
