@@ -40,18 +40,12 @@ RAY_ALLOWED = ("kinetix_dist/runtime/processes/", "kinetix_dist/cli/doctor_probe
 SOURCES = sorted([*REPOSITORY.glob("jax2d/**/*.py"), *REPOSITORY.glob("kinetix_dist/**/*.py")])
 
 
-def imports(file: Path, *, types: bool = False) -> Iterator[str]:
-    """Full names of all modules that a file imports, anywhere in it; under `if TYPE_CHECKING` only with `types`."""
+def imports(file: Path) -> Iterator[str]:
+    """Full names of all modules that a file imports, anywhere in it and for types alone, too."""
     package = file.relative_to(REPOSITORY).with_suffix("").parts[:-1]
     stack: list[ast.AST] = [ast.parse(file.read_text(), str(file))]
     while stack:
         node = stack.pop()
-        if (
-            not types
-            and isinstance(node, ast.If)
-            and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING")
-        ):
-            continue
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -84,9 +78,9 @@ def subpackage_of(module: str) -> tuple[str, str] | None:
     return (package, own) if top == "kinetix_dist" and package in SUBPACKAGES and own else None
 
 
-def imported_files(file: Path, modules: set[str], *, types: bool) -> set[str]:
+def imported_files(file: Path, modules: set[str]) -> set[str]:
     """Members of `modules` that a file imports; `from package import module` imports the module, not the package."""
-    names = set(imports(file, types=types)) & modules
+    names = set(imports(file)) & modules
     return {name for name in names if not any(other.startswith(f"{name}.") for other in names)}
 
 
@@ -150,11 +144,10 @@ def test_other_packages_import_the_public_names_of_the_runtime_alone() -> None:
     assert set(runtime.__all__) == set(runtime._MODULE_OF)
 
 
-# types: imports under `if TYPE_CHECKING` count, too.
-@pytest.mark.parametrize(("package", "types"), [("kinetix_dist", False), ("jax2d", True)])
-def test_no_circle_of_imports_among_files(package: str, types: bool) -> None:
+@pytest.mark.parametrize("package", ["kinetix_dist", "jax2d"])
+def test_no_circle_of_imports_among_files(package: str) -> None:
     files = {module_of(file): file for file in SOURCES if name_of(file).startswith(f"{package}/")}
-    graph = {name: imported_files(file, set(files), types=types) - {name} for name, file in files.items()}
+    graph = {name: imported_files(file, set(files)) - {name} for name, file in files.items()}
     assert sum(map(len, graph.values())) >= len(files) // 2, "hardly any import was found: is the graph right?"
     found = circles(graph)
     assert not found, "files import each other in a circle: " + "; ".join(" <-> ".join(sorted(c)) for c in found)
