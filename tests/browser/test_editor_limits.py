@@ -129,7 +129,7 @@ def test_play_ends_in_one_line_with_its_worker_and_with_the_server(editing: Call
         assert page.get_by_role("alert").all_inner_texts() == []
 
     play()
-    [worker] = [c for c in psutil.Process(server.process.pid).children() if "play.worker" in " ".join(c.cmdline())]
+    [worker] = [c for c in psutil.Process(server.process.pid).children() if "studio.worker" in " ".join(c.cmdline())]
     worker.kill()
     page.get_by_role("alert").filter(has_text="the engine worker died (exit status -9)").wait_for()
     page.get_by_role("button", name="✎ edit").wait_for()
