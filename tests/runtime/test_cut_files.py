@@ -94,7 +94,7 @@ def test_a_kill_while_rewriting_leaves_the_old_file_and_loses_nothing(tmp_path, 
     def killed(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("kinetix_dist.telemetry.json_lines.os.replace", killed)
+    monkeypatch.setattr("kinetix_dist.atomic_files.os.replace", killed)
     with pytest.raises(KeyboardInterrupt):
         mend_lines(path, is_row=lambda row: "update" in row, keep=lambda row: row["update"] <= 1)
     assert path.read_bytes() == content
