@@ -253,11 +253,11 @@ def test_cores_are_shared_out(monkeypatch):
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_can_be_planned(capsys, example):
-    words = example.read_text().split("sweep docs/")[1].split("\n")[0].split()  # the command in its first lines
+    words = example.read_text().split("sweep examples/")[1].split("\n")[0].split()  # the command in its first lines
     assert main(["sweep", str(example), *words[1:], "--plan"]) == 0
     said = capsys.readouterr().out
     assert "not there now: arms are to run on GPUs" in said
-    if example.stem == "sweep_screening":
+    if example.stem == "screening":
         assert "resolution IV" in said and "16 runs" in said
         assert said.count("is aliased with no two-factor interaction") == 7
 
