@@ -155,7 +155,9 @@ def summary(rates: dict[str, SolveRates], base_levels: Sequence[str]) -> str:
         best = ", ".join(f"{k}: {share:.1%}" for k, share in rate.best_of.items())
         parts = [f"worst tenth of the levels {rate.worst_tenth:.1%}", f"levels solved by the best of {best}"]
         if (above := _above_random(name, rates)) is not None:
-            parts.append(f"of what random actions leave {above:.1%}")
+            points = 100 * (rates["random"].rate - rate.rate)
+            better = f"solves {above:.1%} of what random actions fail at"
+            parts.append(better if above >= 0 else f"{points:.1f} points below random actions")
         if (over := rate.over_levels(base_levels)) is not None:
             number = over["base_levels"]
             parts.append(f"on levels like these {over['low']:.1%} - {over['high']:.1%} (95 %, {number} base levels)")

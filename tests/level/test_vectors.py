@@ -97,7 +97,7 @@ def test_what_overlaps_is_seen():
 def test_levels_that_vectors_do_not_hold_are_refused():
     check_describable(drawn("m"))
     level = drawn("s")
-    with pytest.raises(ValueError, match=r"^512 of 512 levels have speed at the start; vectors hold what"):
+    with pytest.raises(ValueError, match=r"^512 of 512 levels have speed at the start; vectors hold levels of"):
         check_describable(dataclasses.replace(level, velocity=level.velocity + 1.0))
     weightless = level.scene.replace(gravity=jnp.zeros_like(level.scene.gravity))
     with pytest.raises(ValueError, match=r"^512 of 512 levels have another gravity; "):

@@ -240,14 +240,14 @@ def test_a_replay_buffer_is_written_with_each_checkpoint(tmp_path):
             np.testing.assert_array_equal(snapshot.arrays[name], state[name][filled], strict=True)
         for name, array in select_arrays(state, "levels").items():
             np.testing.assert_array_equal(snapshot.levels[name], array[filled], strict=True)
-    # What persists: the same place and birth is the same level, and nothing else is.
+    # What persists: the same slot and birth is the same level, and nothing else is.
     by_birth, by_id = {}, {}
     for snapshot in snapshots:
-        columns = (snapshot.arrays[name].tolist() for name in ("place", "born", "level_id"))
-        for place, born, level_id in zip(*columns, strict=True):
-            assert by_birth.setdefault((place, born), level_id) == level_id
-            by_id.setdefault(level_id, set()).add((place, born))
-    assert len(by_birth) < sum(len(snapshot.arrays["place"]) for snapshot in snapshots), "nothing persisted"
+        columns = (snapshot.arrays[name].tolist() for name in ("slot", "born", "level_id"))
+        for slot, born, level_id in zip(*columns, strict=True):
+            assert by_birth.setdefault((slot, born), level_id) == level_id
+            by_id.setdefault(level_id, set()).add((slot, born))
+    assert len(by_birth) < sum(len(snapshot.arrays["slot"]) for snapshot in snapshots), "nothing persisted"
 
 
 def test_levels_of_a_fixed_set_are_counted_one_by_one(tmp_path):

@@ -195,7 +195,7 @@ def test_levels_are_sorted_filtered_and_paged(run: Path) -> None:
     snapshot, plays = refreshes.snapshot(REFRESH, 0), refreshes.plays(0)
 
     def page(**fields) -> dict:
-        defaults = {"sort": "place", "descending": False, "filter_text": "", "offset": 0, "limit": 100}
+        defaults = {"sort": "slot", "descending": False, "filter_text": "", "offset": 0, "limit": 100}
         return level_page(snapshot, plays, **{**defaults, **fields})
 
     assert [level["index"] for level in page()["levels"]] == list(range(8))
@@ -251,7 +251,7 @@ def test_the_same_level_in_several_snapshots_of_a_replay_buffer(tmp_path: Path) 
             "curriculum": np.str_("plr"), "size": np.str_("s"), "policy_version": np.int32(number),
             "written_after": np.int32(number), "level_id": np.array(ids, np.uint64),
             "score": np.array(scores, np.float32), "features": np.zeros((2, 1), np.uint8),
-            "feature_names": np.array(["shapes"]), "place": np.arange(2, dtype=np.int32),
+            "feature_names": np.array(["shapes"]), "slot": np.arange(2, dtype=np.int32),
         }  # fmt: skip
         (tmp_path / DIRECTORY).mkdir(exist_ok=True)
         write_snapshot(tmp_path / DIRECTORY, BUFFER, number, arrays)

@@ -31,9 +31,9 @@ def level_page(
     """
     columns = level_columns(snapshot, plays)
     chosen = np.flatnonzero(_matches(columns, filter_text, len(snapshot.arrays["level_id"])))
-    if sort != "place":
+    if sort != "slot":
         if sort not in columns:
-            raise LevelQueryError(f"these levels have no {sort!r}; they can be sorted by place, {', '.join(columns)}")
+            raise LevelQueryError(f"these levels have no {sort!r}; they can be sorted by slot, {', '.join(columns)}")
         keys = columns[sort][chosen].astype(float)
         keys = np.where(np.isnan(keys), np.inf, -keys if descending else keys)  # unknown values come last
         chosen = chosen[np.argsort(keys, kind="stable")]
@@ -91,7 +91,7 @@ def _describe(snapshot: Snapshot, plays: Plays | None, index: int) -> dict[str, 
         described["scored"] = rate(arrays["solved"][index], arrays["finished"][index])
     if plays is not None and len(plays.solved) == len(arrays["level_id"]):
         described["training"] = rate(plays.solved[index], plays.attempts[index])
-    for name in ("born", "last_played", "place"):
+    for name in ("born", "last_played", "slot"):
         if name in arrays:
             described[name] = int(arrays[name][index])
     return described

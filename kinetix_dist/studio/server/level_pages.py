@@ -187,7 +187,7 @@ class CurriculumPages:
             return level_page(
                 snapshot,
                 plays,
-                sort=query.get("sort", "place"),
+                sort=query.get("sort", "slot"),
                 descending=query.get("order", "up") == "down",
                 filter_text=query.get("filter", ""),
                 offset=offset,

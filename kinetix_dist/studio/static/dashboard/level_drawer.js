@@ -17,7 +17,7 @@ export function LevelDrawer({ run, snapshot, level, picture, changes }) {
   const name = `${run} ${snapshot.kind} ${snapshot.number} ${level.index}`;
   const given = { run, [snapshot.kind]: snapshot.number, index: level.index };
   /** @type {[string, any][]} */
-  const facts = [["id", level.id], ["place", level.index], ["score", short(level.score)]];
+  const facts = [["id", level.id], ["slot", level.index], ["score", short(level.score)]];
   if (level.scored) facts.push(["when it was scored", counted(level.scored)]);
   if (level.training) facts.push(["in training", level.training.episodes ? `${counted(level.training)}` : "not played"]);
   if (level.born !== undefined) facts.push(["came in batch", level.born], ["last played in batch", level.last_played]);

@@ -12,7 +12,7 @@ const A_PAGE = 96;
 const THUMBNAIL = 128;
 /** @type {Record<string, string>} */
 const SORTS = {
-  "place up": "place", "score down": "highest score first", "score up": "lowest score first",
+  "slot up": "slot", "score down": "highest score first", "score up": "lowest score first",
   "p down": "most solved first", "p up": "least solved first",
   "p_training down": "most solved in training first", "p_training up": "least solved in training first",
   "attempts_training down": "most played in training first",
@@ -33,7 +33,7 @@ export function LevelsPage({ run }) {
   const snapshots = (all.data?.snapshots ?? []).filter((/** @type {any} */ s) => !gone.includes(nameOf(s)));
   const of = query.get("of");
   const chosen = snapshots.find((/** @type {any} */ s) => nameOf(s) === of) ?? snapshots.findLast((/** @type {any} */ s) => s.has_levels) ?? snapshots.at(-1);
-  const sort = query.get("sort") ?? "place up";
+  const sort = query.get("sort") ?? "slot up";
   const filter = query.get("filter") ?? "";
   const offset = Number(query.get("offset") ?? 0);
   const [field, order] = sort.split(" ");
@@ -62,7 +62,7 @@ export function LevelsPage({ run }) {
       <label>snapshot <select onChange=${(/** @type {any} */ e) => setQuery({ of: e.target.value, offset: null, level: null })}>
         ${snapshots.map((/** @type {any} */ s) => html`<option key=${nameOf(s)} value=${nameOf(s)} selected=${s === chosen}>${s.kind} ${s.number}${s.has_levels ? "" : " (levels left out)"}</option>`)}</select></label>
       <label>order <select onChange=${(/** @type {any} */ e) => setQuery({ sort: e.target.value, offset: null })}>
-        ${Object.entries(SORTS).filter(([key]) => key === sort || key.startsWith("place") || page.data?.columns.includes(key.split(" ")[0])).map(([key, text]) => html`<option key=${key} value=${key} selected=${key === sort}>${text}</option>`)}</select></label>
+        ${Object.entries(SORTS).filter(([key]) => key === sort || key.startsWith("slot") || page.data?.columns.includes(key.split(" ")[0])).map(([key, text]) => html`<option key=${key} value=${key} selected=${key === sort}>${text}</option>`)}</select></label>
       <${Filter} value=${filter} columns=${page.data?.columns ?? []} />
       <span class="soft">${page.data ? `${page.data.matching} of ${page.data.total} levels` : ""}</span>
       <button class=${offset ? "" : "off"} onClick=${() => setQuery({ offset: String(Math.max(0, offset - A_PAGE)) })}>◀</button>
