@@ -29,6 +29,7 @@ class MostFailed(Curriculum):
 
     observes = True
     takes_levels = True
+    draws_levels = False  # none from the generator
 
     def __init__(self, tools: CurriculumTools) -> None:
         super().__init__(tools)
