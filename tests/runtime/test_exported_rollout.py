@@ -25,7 +25,7 @@ from kinetix_dist.runtime.cores import rollout_core as module
 from kinetix_dist.runtime.cores.playing import Playing
 from kinetix_dist.runtime.cores.rollout_core import CACHE
 from tests.helpers import compile_cache, environment_of_cpus
-from tests.runtime import exported_rollout_program
+from tests.runtime import closures_program, exported_rollout_program
 from tests.runtime.runs import tiny_config
 
 
@@ -42,6 +42,15 @@ def test_another_process_reads_it_and_plays_the_same_bits(tmp_path: Path) -> Non
     found = subprocess.run(command, env=environment_of_cpus(1), check=True, capture_output=True, text=True).stdout
     assert json.loads(found.splitlines()[-1]) == {"traced": 0, "content": traced["content"]}
     assert [file.stat().st_mtime_ns for file in (tmp_path / CACHE).iterdir()] == [written]
+
+
+@pytest.mark.slow
+def test_all_code_that_runs_while_a_program_is_traced_is_part_of_its_key() -> None:
+    """Imports are followed by the text of sources: code that is reached otherwise could change unseen."""
+    command = [sys.executable, closures_program.__file__]
+    environment = environment_of_cpus(1) | {"JAX_ENABLE_COMPILATION_CACHE": "false"}
+    found = subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
+    assert json.loads(found.splitlines()[-1]) == {"levels": [], "rollouts": [], "updates": []}
 
 
 class OfAUser(EntityObservation):
@@ -106,3 +115,9 @@ def test_what_changes_a_rollout_makes_another_program(key_of: Any) -> None:
         dataclasses.replace(config, rollout=dataclasses.replace(config.rollout, num_groups=2)),
     ]
     assert len({key_of(one) for one in (config, *changed)}) == 1 + len(changed)
+
+
+def test_functions_that_a_curriculum_is_given_are_part_of_the_key(key_of: Any) -> None:
+    """It summarises with them what it sees, inside of the rollout."""
+    given = {"kinetix_dist.runtime.cores.curriculum_state", "kinetix_dist.env.noop", "kinetix_dist.learner.gae"}
+    assert given <= set(key_of(tiny_config(num_updates=1)).closure.modules)

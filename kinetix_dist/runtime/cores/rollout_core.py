@@ -29,6 +29,7 @@ from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
 from kinetix_dist.runtime.cores.run_names import LEVELS, PLAY, stream
 
 CACHE = "rollouts"  # folder in the program cache
+BUILDER = f"{__package__}.playing"  # makes the players; it reaches the functions that a curriculum is given, too
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
 SIZES_PLAYED = "sizes"  # in the sums of an update where sizes are mixed: by size, in the order of `SIZES`
 BY_SOURCE = "by_source"  # in the sums of an update: attempts of each source and slot of `Proposal.source`
@@ -184,7 +185,7 @@ def rollout_core(
     if is_cacheable(*parts) and not config.run.plugins and not config.curriculum.levels:
         key = ProgramKey(
             kind=CACHE,
-            module=__name__,
+            module=BUILDER,
             parts=parts,
             depends_on=(settings, groups, division),
             at_trace=traced_for,
