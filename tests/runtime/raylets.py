@@ -72,6 +72,8 @@ class Raylets:
     def stop_last(self) -> None:
         """SIGKILL for a node and all that it started: as if its machine were gone."""
         process = self._processes.pop()
+        if process.poll() is not None:  # a node that could not start: nothing to kill, and the others still are
+            return
         family = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
         for member in family:
             if member.is_running():
