@@ -82,14 +82,12 @@ def check_steps(steps: int) -> None:
 def level_files(size: str, levels: Path | None, seed: int) -> Iterator[tuple[list[Path], str]]:
     """Level files of one size in the public format, and a phrase that says where they are from.
 
-    `levels`: the folder to take them from, with s/, m/ and l/; None: the first of the usual directories that has them.
+    `levels`: the folder to take them from, with s/, m/ and l/; None: that of $KINETIX_LEVELS, if it has some.
     """
-    usual = [os.environ.get("KINETIX_LEVELS"), CHECKOUT.parent / "shared" / "kinetix_levels"]
-    for directory in usual if levels is None else [levels]:
-        files = data_files(Path(directory, size), "*.json") if directory else []
-        if files:
-            yield files, "the public Kinetix levels"
-            return
+    directory = levels or os.environ.get("KINETIX_LEVELS")
+    if directory and (files := data_files(Path(directory, size), "*.json")):
+        yield files, "the public Kinetix levels"
+        return
     if levels is not None:
         raise UserError(f"no level files in {levels / size}; give --levels a folder with s/, m/ and l/")
     with tempfile.TemporaryDirectory() as folder:
