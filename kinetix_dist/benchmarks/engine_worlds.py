@@ -48,8 +48,7 @@ class EngineOptions(BenchmarkOptions):
     repeats: int = 5
     """Timed runs of which the median counts, after one that is not timed; at least 5."""
     levels: Path | None = None
-    """Folder of the public Kinetix levels (s/, m/, l/). Default: $KINETIX_LEVELS, else next to the checkout, else
-    levels drawn at random."""
+    """Folder of the public Kinetix levels (s/, m/, l/). Default: $KINETIX_LEVELS, else levels drawn at random."""
     seed: int = 0
     """Seed of the actions, and of the levels where they are drawn."""
 
