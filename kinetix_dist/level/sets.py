@@ -185,7 +185,8 @@ def is_public_level(path: Path) -> bool:
 def files_of_set(name: str) -> list[Path]:
     """The level files of a designed set, a designed level, a file or a directory.
 
-    Raises ValueError for a set that is drawn and for an unknown name, FileNotFoundError for an empty directory.
+    Raises ValueError for a set that is drawn and for an unknown name, FileNotFoundError for a path that does not exist
+    and for an empty directory.
     """
     if size_of_drawn_set(name):
         raise ValueError(f"{name!r} is drawn when it is used; it has no files; name a designed set or level files")
@@ -204,6 +205,8 @@ def files_of_set(name: str) -> list[Path]:
         if not files:
             raise FileNotFoundError(f"no .json level files in {path}; give a directory of them{foreign_files(path)}")
         return files
+    if path.suffix or len(path.parts) > 1:
+        raise FileNotFoundError(f"there is no level file or directory {name}")
     known = [*sets, *VARIED_SETS, *RANDOM_SETS, *frontier_sets()]
     known_sets = f"sets are {', '.join(known)}, or give a level file or a directory of them"
     hint = did_you_mean(name, [*known, *designed_names()], known_sets)

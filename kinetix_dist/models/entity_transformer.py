@@ -241,7 +241,7 @@ def without_key_bias(bias: Array) -> Array:
 
     What is the same for all keys moves all scores of a query alike, and softmax ignores it: the attention is the same.
     As a parameter nothing holds it but the rounding of its gradient, which Adam makes steps of. In a long run in
-    bfloat16 it grew until scores were rounded away (docs/lab_log.md, "A gradient that grows").
+    bfloat16 it grew until scores were rounded away (docs/lab_log.md, "Network and kernels").
     """
     return bias * np.repeat(np.array([1.0, 0.0, 1.0], np.float32), bias.shape[0] // 3)
 

@@ -33,7 +33,7 @@ def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
     shutil.rmtree(levels)  # while Ray starts
     line = _the_line(process)
     log = tmp_path / "run" / "logs" / "worker_0.log"
-    assert f"worker 0 failed: unknown level set '{levels}'" in line
+    assert f"worker 0 failed: there is no level file or directory {levels}" in line
     assert f"traceback in {log}; checkpoints are untouched, go on with --run {tmp_path / 'run'} --resume" in line
     assert "load_level_set" in log.read_text()
     events = [json.loads(text) for text in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
