@@ -2,7 +2,7 @@
 # Everything is installed into .venv; `make install` is repeated only when the lock or pyproject.toml changes.
 
 .DEFAULT_GOAL := help
-.PHONY: help install train test test-slow test-gpu test-newer-jax test-faults test-faults-long check check-web browser vendor format lock docs bench-engine bench-engine-peers bundle clean
+.PHONY: help install train test test-long test-slow test-gpu test-newer-jax test-faults test-faults-long check check-web browser vendor format lock docs bench-engine bench-engine-peers bundle clean
 .SUFFIXES:
 
 # Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.12, 3.13, 3.11, python3
@@ -24,7 +24,7 @@ STAMP := $(VENV)/.installed
 
 help:
 	@echo "make train         install, then the main job: a small pretraining run on CPU, minutes"
-	@echo "make test          install, then lint, types and tests        (test-slow, test-gpu: the rest)"
+	@echo "make test          install, then lint, types and tests        (test-long, test-slow, test-gpu: the rest)"
 	@echo "make test-newer-jax  tests that lean on JAX most, under Python 3.12 and its newer JAX, on two virtual devices"
 	@echo "make test-faults   install, then the slow tests of runs: losses at random times, stops, kills; all on the CPU"
 	@echo "make test-faults-long  install, then 50 kills, and a fault every 30 s for ten minutes; an hour, runs/faults/*.json"
@@ -79,6 +79,11 @@ format: $(STAMP)
 
 test: check
 	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
+
+# Continuous integration runs these too.
+test-long: $(STAMP)
+	$(BIN)/python -m pytest -m "long and not slow and not gpu" -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder \
+	    $(PYTEST_ARGS)
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m "slow and not gpu" $(PYTEST_ARGS)

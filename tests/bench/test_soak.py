@@ -24,6 +24,7 @@ def soak() -> Soak:
     return Soak("s", preset("standard"), FRAME_SKIP, seed=0)
 
 
+@pytest.mark.long
 def test_a_world_that_is_not_finite_is_counted_with_when_and_which(soak):
     levels = soak.draw(0, jnp.arange(WORLDS))
     velocity = np.array(levels.velocity)
@@ -38,6 +39,7 @@ def test_a_world_that_is_not_finite_is_counted_with_when_and_which(soak):
     assert 0.5 < record["fastest_m_s"] < 105.0  # the other worlds fell and were pushed; the limit is 100
 
 
+@pytest.mark.long
 def test_a_world_run_alone_does_what_it_did_among_others(soak):
     among = soak.play(3, jnp.arange(WORLDS), soak.draw(1, jnp.arange(WORLDS)))
     alone = soak.play(3, jnp.array([5]), soak.draw(1, jnp.array([5])))

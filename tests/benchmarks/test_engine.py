@@ -30,6 +30,7 @@ def bench(json_file: Path, *arguments: str) -> list[dict]:
     return json.loads(json_file.read_text())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", [["speed"], []], ids=["speed", "no word"])
 def test_records_of_speed_have_exactly_the_documented_fields(words: list[str], tmp_path: Path) -> None:
     file = tmp_path / "new" / "bench.json"
@@ -41,6 +42,7 @@ def test_records_of_speed_have_exactly_the_documented_fields(words: list[str], t
         assert record["physics_steps_per_second"] > 0
 
 
+@pytest.mark.long
 def test_growth_measures_worlds_and_shapes_and_says_what_it_left_out(tmp_path: Path) -> None:
     file = tmp_path / "growth.json"
     one, three, *shapes = bench(file, "growth", "--worlds", "1", "3", "--shapes", "4", "--point-seconds", "1e-9")

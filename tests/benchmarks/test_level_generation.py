@@ -9,6 +9,7 @@ import pytest
 from kinetix_dist.cli.main import main
 
 
+@pytest.mark.long
 def test_a_record_of_each_generator(tmp_path, capsys):
     file = tmp_path / "levels.json"
     assert main(["bench", "levels", "--sizes", "s", "--levels", "64", "--repeats", "2", "--json", str(file)]) == 0

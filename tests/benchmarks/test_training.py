@@ -106,6 +106,7 @@ def test_refreshes_are_told_from_updates_by_their_number() -> None:
 # Real runs
 
 
+@pytest.mark.long
 def test_training_is_measured_and_its_run_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "temporary"
     folder.mkdir()

@@ -22,6 +22,8 @@ from tests.studio.serving import Server, serving
 
 REQUIRED = os.environ.get("KINETIX_BROWSER_TESTS") == "required"
 FOUND = {browser.kind: browser for browser in found_browsers()}
+# `make test` takes one, `make test-long` the other too.
+KINDS = [pytest.param(kind, marks=[pytest.mark.long] if number else []) for number, kind in enumerate(FOUND)]
 TIMEOUT_MS = 1000 * PATIENCE_S
 TRAINED_VARIABLE = "KINETIX_TRAINED_RUNS"
 
@@ -33,7 +35,7 @@ def _missing(reason: str) -> None:
 
 
 # Of a module: Playwright keeps an event loop running, and files of other tests have their own.
-@pytest.fixture(scope="module", params=list(FOUND) or ["none"])
+@pytest.fixture(scope="module", params=KINDS or ["none"])
 def browser(request: pytest.FixtureRequest) -> Iterator[Any]:
     try:
         from playwright.sync_api import sync_playwright

@@ -39,6 +39,7 @@ def _levels(size: str) -> list[tuple[str, Any]]:
     return [(name, jax.tree.map(lambda x, k=k: np.asarray(x)[k], levels)) for k, name in enumerate(names)]
 
 
+@pytest.mark.long
 def test_pages_and_engine_paint_the_same(levels: Any, trained_server: Server, open_page: Callable[..., Any]) -> None:
     """Mean difference below 2 of 255: they differ in how edges are smoothed."""
     page = open_page(trained_server)

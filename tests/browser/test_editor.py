@@ -156,6 +156,7 @@ def test_a_level_is_built_while_pictures_come_late(editing: Callable[..., Any], 
     assert [joint["motor"]["speed"] for joint in document["joints"]] == [-2, -2]
 
 
+@pytest.mark.long
 def test_a_level_that_comes_late_replaces_nothing_that_was_done(editing: Callable[..., Any], tmp_path: Path) -> None:
     """Drawing and drafts wait for the level that the command line named."""
     bench, server = editing(tmp_path / "mine.json")
@@ -384,6 +385,7 @@ def test_a_policy_plays_with_its_value_and_64_attempts_have_an_interval(editing:
     assert "learnability 0." in page.locator("[data-panel=attempts]").inner_text()
 
 
+@pytest.mark.long
 def test_levels_come_in_and_go_out(editing: Callable[..., Any], tmp_path: Path) -> None:
     """A link holds the level; the public format comes back as the same level; what is no level is one line."""
     bench, _ = editing("m/ramp_car")

@@ -119,6 +119,7 @@ def test_levels_that_are_far_too_large_are_one_line_or_drawn(editing: Callable[.
     assert time.monotonic() - began < 30, "a page that hangs takes minutes"
 
 
+@pytest.mark.long
 def test_play_ends_in_one_line_with_its_worker_and_with_the_server(editing: Callable[..., Any], tmp_path: Path) -> None:
     bench, server = editing("s/hop_home")
     page, picture = bench.page, bench.page.get_by_label("the level")

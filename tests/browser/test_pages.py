@@ -155,6 +155,7 @@ def test_what_links_no_icon_has_one_too(trained_server: Server, open_page: OpenP
     page.wait_for_timeout(1000)
 
 
+@pytest.mark.long
 def test_a_level_of_the_buffer_is_played_in_place(trained_server: Server, open_page: OpenPage) -> None:
     """Plays a level by the checkpoint of its run, by keys and 64 times; and shows its history."""
     page = open_page(trained_server, "#/run/tiny/levels")

@@ -43,6 +43,7 @@ def _behind_proxy(server: Server, *options: str) -> Iterator[Proxied]:
             proxy.kill()
 
 
+@pytest.mark.long
 def test_curves_levels_and_play_below_a_path_prefix(proxied: Proxied, open_page: Callable[..., Any]) -> None:
     """`open_page` complains of any request that is not below the prefix."""
     page = open_page(proxied, "#/run/tiny/overview")

@@ -21,6 +21,7 @@ def server(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
         yield server
 
 
+@pytest.mark.long
 def test_a_rollout_is_shown_by_rerun(server: Server, browser: Any) -> None:
     context = browser.new_context(viewport={"width": 1600, "height": 1500}, locale="en-US")
     context.set_default_timeout(2 * TIMEOUT_MS)

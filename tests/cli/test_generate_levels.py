@@ -71,6 +71,7 @@ def test_random_levels_are_those_of_the_generator(tmp_path: Path, capsys: pytest
     assert_playable(tmp_path / "random", "s")
 
 
+@pytest.mark.long
 def test_levels_like_those_of_a_directory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     generate(capsys, tmp_path / "random", "--size", "s")
     training, loss, wrote = generate(capsys, tmp_path / "like", "--like", str(tmp_path / "random"), "--steps", "100")
@@ -80,6 +81,7 @@ def test_levels_like_those_of_a_directory(tmp_path: Path, capsys: pytest.Capture
     assert_playable(tmp_path / "like", "s")
 
 
+@pytest.mark.long
 def test_levels_of_a_teacher_depend_on_what_it_learned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for scale in (1, 10):
         run = run_with_teacher(tmp_path / f"run_{scale}", scale)

@@ -75,6 +75,7 @@ def _config(imported: Path, **policy: int):
     return dataclasses.replace(config, env=env, policy=dataclasses.replace(POLICY, **policy), curriculum=curriculum)
 
 
+@pytest.mark.long
 def test_training_goes_on_from_an_imported_policy(imported: Path, tmp_path: Path) -> None:
     config, backend = _config(imported), LocalBackend()
     trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])

@@ -64,6 +64,7 @@ def test_a_proof_moves_in_real_time_from_the_start_to_the_end(
     assert (np.abs(frames[0] - frames[-1]).max(axis=-1) > 40).sum() > 100  # something has moved
 
 
+@pytest.mark.long
 def test_rollouts_without_a_policy_and_with_one_are_drawn_side_by_side(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -114,6 +114,7 @@ def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn():
     jax.tree.map(np.testing.assert_array_equal, together, jax.tree.map(lambda *xs: np.concatenate(xs), *apart))
 
 
+@pytest.mark.long
 def test_edited_levels_are_mutated_ones():
     config = CurriculumConfig(name="accel", accel=AccelConfig(num_changes=2))
     tools = curriculum_of(config, PER_GROUP, CurriculumTools, capacity=SIZES["s"]).tools

@@ -15,7 +15,11 @@ OPTIMISED = True
 
 @pytest.mark.parametrize(
     ("name", "parts"),
-    [("sfl", [[0, 1], [2, 3]]), ("sfl", [[0, 1, 2], [3]]), ("domain_randomization", [[0], [1], [2, 3]])],
+    [
+        ("sfl", [[0, 1], [2, 3]]),
+        pytest.param("sfl", [[0, 1, 2], [3]], marks=pytest.mark.long),
+        pytest.param("domain_randomization", [[0], [1], [2, 3]], marks=pytest.mark.long),
+    ],
 )
 def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn(name, parts):
     config = CurriculumConfig(name=name)

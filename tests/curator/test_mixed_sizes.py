@@ -23,6 +23,9 @@ def _nothing_solves_itself(levels):
     return jnp.zeros(levels.position.shape[0], bool)
 
 
+MARKS = {"accel": pytest.mark.slow, "domain_randomization": pytest.mark.long, "plr": pytest.mark.long}
+
+
 class _Unedited(CurriculumTools):
     """Changed levels are the same ones: mutators have tests of their own."""
 
@@ -30,9 +33,7 @@ class _Unedited(CurriculumTools):
         return levels
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "accel" else []) for name in WORLDS]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, [])) for name in WORLDS])
 def test_fresh_levels_of_a_group_have_their_share_of_each_size(name):
     config = CurriculumConfig(name=name, buffer_size=4, sizes=SIZES_DRAWN, generator=GENERATOR)
     given = {"capacity": CAPACITY, "solves_itself": _nothing_solves_itself}

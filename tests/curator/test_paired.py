@@ -103,6 +103,7 @@ def _has_wide_green(levels):
     return (shapes.active & (levels.shape_role == Role.GREEN) & (reach > 0.36)).any(1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "feature", [_has_red, *(pytest.param(f, marks=pytest.mark.slow) for f in (_has_joint, _has_wide_green))]
 )
@@ -129,6 +130,7 @@ def test_the_teacher_comes_to_build_what_the_antagonist_alone_can_do(feature):
     assert last_quarter[True] > 0.8 and last_quarter[False] < 0.15, last_quarter
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("antagonist_return", "regret"), [("max", 4.0 - 1.5), ("mean", 3.0 - 1.5)])
 def test_regret_is_what_the_antagonist_got_more_on_the_same_level(antagonist_return, regret):
     """Protagonists have a mean of 1.5, antagonists of 3 and at best 4; what is best of the protagonist has no part."""

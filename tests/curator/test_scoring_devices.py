@@ -12,6 +12,7 @@ from tests.helpers import REPOSITORY, environment_of_cpus
 PROGRAM = REPOSITORY / "tests" / "curator" / "scoring_program.py"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("curriculum", "counts"),
     [

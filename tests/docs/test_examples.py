@@ -29,18 +29,21 @@ def assert_drawn(*pictures: Path) -> None:
             assert len(image.convert("RGB").getcolors(1 << 20) or []) > 5  # something is drawn
 
 
+@pytest.mark.long
 def test_catapult_draws_the_best_throw_and_the_map(tmp_path: Path) -> None:
     picture = tmp_path / "throw.png"
     assert "36 variations" in run_example("engine/catapult.py", "--to", str(picture), "--per-axis", "6")
     assert_drawn(picture, tmp_path / "throw_map.png")
 
 
+@pytest.mark.long
 def test_belt_lift_and_platform_carry_both_boxes_away(tmp_path: Path) -> None:
     picture = tmp_path / "platforms.png"
     assert "2 boxes ride on the platform at 0.70 m/s" in run_example("engine/platforms.py", "--to", str(picture))
     assert_drawn(picture)
 
 
+@pytest.mark.long
 def test_rover_drives_and_its_lidar_sees_the_ground(tmp_path: Path) -> None:
     picture = tmp_path / "rover.png"
     assert "rays meet something" in run_example("engine/rover.py", "--to", str(picture))
@@ -54,12 +57,14 @@ def test_the_engine_steps_pendulums(tmp_path: Path) -> None:
     assert_drawn(picture)
 
 
+@pytest.mark.long
 def test_a_level_is_written_trained_on_and_watched(tmp_path: Path) -> None:
     printed = run_example("level_to_training.py", "--to", str(tmp_path), "--steps", "8192")
     assert "generalist solves 100% of its attempts" in printed and "the trained policy solves" in printed
     assert (tmp_path / "trained.gif").stat().st_size > 1000
 
 
+@pytest.mark.long
 def test_a_network_of_ones_own_is_trained(tmp_path: Path) -> None:
     """The other two parts of a user are trained with in tests/runtime/test_ray_run.py."""
     options = ("--curriculum.name", "domain_randomization", "--run.total_env_steps", "256")

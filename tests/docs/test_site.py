@@ -17,6 +17,7 @@ DOCS = REPOSITORY / "docs"
 ELSEWHERE = ("//fonts.", "//cdn.", "unpkg.com", "jsdelivr", "googleapis")  # sites must not fetch anything
 
 
+@pytest.mark.long
 @pytest.mark.skipif(importlib.util.find_spec("sphinx") is None, reason="needs the extra docs")
 def test_the_site_builds_without_a_warning_and_fetches_nothing(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet", "--builder", "html"]

@@ -29,6 +29,7 @@ def compiled_files(folder: Path) -> dict[str, int]:
     return {str(file.relative_to(folder)): file.stat().st_mtime_ns for file in files}
 
 
+@pytest.mark.long
 @pytest.mark.also_gpu
 def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
     environment = os.environ | {

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import pytest
 from jax import export
 
 from jax2d.warp import ffi
@@ -18,6 +19,7 @@ from tests.engine.exported_steps_program import NUM_WORLDS, engine, packed, step
 from tests.helpers import environment_of_cpus
 
 
+@pytest.mark.long
 def test_another_process_steps_to_the_same_bits(tmp_path: Path) -> None:
     one = engine(is_full=False)
     tables, structure = jax.tree.flatten(packed(one))

@@ -231,6 +231,7 @@ def same_bits(a: Any, b: Any, *names: str) -> None:
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
+@pytest.mark.long
 def test_engine_for_the_effects_of_a_scene_gives_the_bits_of_the_full_one():
     moving = ("position", "angle", "velocity", "angular_velocity", "contact_key", "contact_impulse")
     for left_out in ({"surface_speed"}, {"rolling_resistance", "linear_damping", "angular_damping"}):

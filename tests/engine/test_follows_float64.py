@@ -102,7 +102,9 @@ def two_links(drive: str) -> BuiltWorld:
     return b.build()
 
 
-@pytest.mark.parametrize(("drive", "control"), [("servo", 0.8), ("brake", 0.0), ("brake", 0.3)])
+@pytest.mark.parametrize(
+    ("drive", "control"), [pytest.param("servo", 0.8, marks=pytest.mark.long), ("brake", 0.0), ("brake", 0.3)]
+)
 def test_drives(drive: str, control: float):
     """Momentum too."""
     m, exact = (motion.trajectory for motion in both(two_links(drive), steps=60, motor=control))

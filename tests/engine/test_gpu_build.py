@@ -46,5 +46,6 @@ def test_engines_of_larger_levels_compile_for_a_gpu(size: str, tmp_path: Path):
     assert build(SIZES[size], settings, level_effects(SIZES[size], settings), 131_072, tmp_path)
 
 
+@pytest.mark.long
 def test_engine_with_every_effect_compiles_for_a_gpu(tmp_path: Path):
     assert build(EVERYTHING, preset("standard"), Effects.full(EVERYTHING), 2_048, tmp_path)

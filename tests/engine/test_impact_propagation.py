@@ -60,6 +60,7 @@ def errors(name: str, **options: object) -> np.ndarray:
     )
 
 
+@pytest.mark.long
 @pytest.mark.also_gpu
 @pytest.mark.parametrize("gap", [0.0, 5e-4, 5e-3])
 @pytest.mark.parametrize("name", ["standard", "fine"])

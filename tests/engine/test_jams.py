@@ -60,6 +60,7 @@ def most_energy(settings: str, backend: str = "warp", num_worlds: int = NUM_WORL
     return np.array(most)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("settings", "backend"),
     [

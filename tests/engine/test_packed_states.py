@@ -88,6 +88,7 @@ def test_a_state_that_is_kept_is_not_written_over():
     assert jnp.isfinite(state.bodies).all()
 
 
+@pytest.mark.long
 @pytest.mark.also_gpu
 @pytest.mark.parametrize("numbers", [5, 8])
 def test_what_is_in_shared_memory_changes_no_bit(numbers: int):

@@ -26,6 +26,7 @@ def solution(division: int) -> np.ndarray:
     return positions[: round(SECONDS * SAMPLES_PER_SECOND)]
 
 
+@pytest.mark.long
 def test_preset_reference_is_converged() -> None:
     """Errors are of first order in the step: that of the preset is a third of what four times the step changes."""
     assert preset("reference").dt == pytest.approx(1 / 60 / DIVISIONS[1])

@@ -146,7 +146,7 @@ def quantile_at_threshold(difference: np.ndarray) -> float:
 @pytest.mark.parametrize(
     ("size", "name"),
     [
-        ("m", "standard"),
+        pytest.param("m", "standard", marks=pytest.mark.long),
         ("m", "paper"),
         pytest.param("s", "standard", marks=pytest.mark.slow),
         pytest.param("s", "paper", marks=pytest.mark.slow),

@@ -131,6 +131,7 @@ def test_derivatives_are_finite_where_the_maths_has_corners(name: str) -> None:
             assert np.isfinite(value_and_slope(name)(x, direction, *rest)[1])
 
 
+@pytest.mark.long
 @BOTH_SOLVERS
 def test_reverse_mode_is_forward_mode(name: str) -> None:
     """Modes agree where the maths has corners, too: there a branch not taken gives reverse mode 0 times infinity, if

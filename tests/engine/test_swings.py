@@ -46,6 +46,7 @@ def changes(name: str, worlds: list[BuiltWorld], seconds: float) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.long
 @pytest.mark.also_gpu
 @pytest.mark.parametrize(("name", "lost"), [("standard", 0.15), ("fine", 0.006)])
 def test_pendulum_keeps_its_energy_for_a_minute(name: str, lost: float):

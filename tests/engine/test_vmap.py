@@ -50,6 +50,7 @@ def fold(tree: Any) -> Any:
     return jax.tree.map(lambda x: np.asarray(x).reshape(x.shape[0] * x.shape[1], *x.shape[2:]), tree)
 
 
+@pytest.mark.long
 @pytest.mark.also_gpu
 @pytest.mark.parametrize(
     ("backend", "name"),

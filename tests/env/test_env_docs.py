@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import re
 
+import pytest
+
 from jax2d import preset
 from kinetix_dist.env.environment import EnvConfig
 from kinetix_dist.env.observations.entities import EntityObs
@@ -32,6 +34,7 @@ def test_the_example_of_a_wrapper_runs() -> None:
     assert names["obs"] in names["envs"].observation_space
 
 
+@pytest.mark.long
 def test_the_example_runs() -> None:
     example = TEXT.split("```python\n")[1].split("```")[0]
     names: dict = {}

@@ -22,6 +22,7 @@ from kinetix_dist.env.wrappers.kinetix import (
 SMALL = StaticEnvParams(num_polygons=5, num_circles=2, num_joints=1, num_thrusters=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("static_env_params", [SMALL, pytest.param(StaticEnvParams(), marks=pytest.mark.slow)])
 def test_the_example_of_the_public_package_runs(static_env_params):
     # Use default parameters
@@ -71,6 +72,7 @@ def test_what_is_no_size_and_other_parameters_are_refused():
         env.step(jax.random.key(0), None, 0, EnvParams(max_timesteps=3))
 
 
+@pytest.mark.long
 def test_an_episode_starts_from_the_level_or_state_that_a_call_gives():
     params = EnvParams(max_timesteps=2)
     draw = make_reset_fn_sample_kinetix_level(params, SMALL)

@@ -175,6 +175,7 @@ def test_speed_power_and_colour_of_a_motor_that_is_off_are_zero() -> None:
     np.testing.assert_array_equal(row[8:16], np.zeros(8))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("observation", ["entity", "entity_kinetix"])
 def test_colours_are_where_the_read_out_by_colour_looks_for_them(observation: str) -> None:
     levels = generate_levels(jax.random.key(0), 64, SIZES["s"], GeneratorConfig(thruster_chance=1.0))
@@ -191,6 +192,7 @@ def test_colours_are_where_the_read_out_by_colour_looks_for_them(observation: st
     assert drives.sum() > 20 and thrusters.sum() > 20
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("observation", ["entity", "flat", "pixels", "entity_kinetix"])
 def test_a_motor_that_runs_by_itself_has_the_colour_of_no_action(observation: str) -> None:
     """And of the public package's observation nothing changes, which does not tell."""
@@ -294,6 +296,7 @@ def test_connections_agree_with_a_search_on_random_graphs() -> None:
         np.testing.assert_array_equal(any_number[0], group[:, None] == group)
 
 
+@pytest.mark.long
 def test_observe_adds_a_time_axis_to_what_is_static() -> None:
     levels = batch(small_level(joint=MOTOR_JOINT), small_level(thruster=THRUSTER, box=(2.0, 2.0)))
     moving = dynamic_obs(moving_of(levels, jnp.zeros((2, 7, 1), jnp.uint32)))

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
@@ -47,6 +48,7 @@ def played(size):
     return bodies, *answers
 
 
+@pytest.mark.long
 def test_a_small_level_in_larger_arrays_moves_and_is_seen_as_it_is():
     (bodies, reward, done, outputs, values), large = played("s"), played("l")
     assert np.abs(bodies[0][-1] - bodies[0][0]).max() > 0.5  # m: something happens

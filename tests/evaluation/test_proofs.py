@@ -50,6 +50,7 @@ def test_a_replay_is_the_same_bit_for_bit_wherever_the_level_stands_in_the_batch
             np.testing.assert_array_equal(getattr(first, field), getattr(second, field), err_msg=first.level_name)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "size", ["s", pytest.param("m", marks=pytest.mark.slow), pytest.param("l", marks=pytest.mark.slow)]
 )

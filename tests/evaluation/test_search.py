@@ -39,7 +39,10 @@ def solved(env: Environment, document: dict, *, player: object = None, stored: o
     return solve(env, target, num_worlds=NUM_WORLDS, **options)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "method",
+    [pytest.param(method, marks=[] if method in ("random", "best_first") else pytest.mark.long) for method in METHODS],
+)
 def test_every_method_opens_the_trapdoor(env: Environment, method: str) -> None:
     player = Player(RandomPolicy(env.action_space)) if method == "policy" else None
     shipped = read_proof(levels_root() / "proofs" / "s" / "trapdoor.json").actions

@@ -49,6 +49,7 @@ def _params(specialist: Specialist) -> list[np.ndarray]:
     return jax.tree.leaves(specialist.params)
 
 
+@pytest.mark.long
 def test_nothing_is_compiled_for_another_level(specialists: dict[str, Specialist]) -> None:
     assert [specialist.compile_seconds for specialist in specialists.values()] == [0.0] * len(specialists)
 

@@ -68,6 +68,7 @@ def _assert_same(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) 
     assert not np.allclose(found["params_0"], found["params_1"], atol=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [*(pytest.param(count, marks=pytest.mark.slow) for count in (3, 4)), 7])
 def test_several_devices_make_the_update_of_one(one_device, tmp_path, count):
     """Eight virtual shards: 3 and 7 devices cannot share them evenly."""
@@ -92,7 +93,10 @@ def test_all_gpus_make_the_update_of_one(tmp_path):
     _assert_same(several, one)
 
 
-@pytest.mark.parametrize("variables", [{}, {"EXPORTED_UPDATE": "1"}], ids=["traced", "exported"])
+@pytest.mark.parametrize(
+    "variables",
+    [pytest.param({}, id="traced", marks=pytest.mark.long), pytest.param({"EXPORTED_UPDATE": "1"}, id="exported")],
+)
 def test_two_processes_make_the_update_of_one(one_device, tmp_path, variables):
     address = f"127.0.0.1:{_free_port()}"
     outs = [tmp_path / f"rank_{rank}.npz" for rank in range(2)]

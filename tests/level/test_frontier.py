@@ -35,6 +35,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return levels
 
 
+@pytest.mark.long
 def test_the_set_is_drawn_again_from_its_indices(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(LEVELS_VARIABLE, str(data))
     made = read_frontier_sets(data / "frontier_sets.json")["s"]

@@ -46,6 +46,7 @@ def test_exported_levels_are_those_of_the_generator(number: int) -> None:
     assert_same_levels(levels, generate_levels(KEY, number, CAPACITY, CONFIG))
 
 
+@pytest.mark.long
 def test_it_is_traced_once_where_devices_share_worlds_and_read_by_the_next_process(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -75,6 +76,7 @@ def test_it_is_traced_once_where_devices_share_worlds_and_read_by_the_next_proce
     assert len(traced) == 2 and file.read_bytes() == content
 
 
+@pytest.mark.long
 def test_another_generator_is_another_program(cache: Path) -> None:
     keys = level_keys(KEY, 2)
     draw_levels(keys, CAPACITY, GeneratorConfig())
@@ -82,6 +84,7 @@ def test_another_generator_is_another_program(cache: Path) -> None:
     assert len(list(cache.iterdir())) == 2
 
 
+@pytest.mark.long
 def test_another_setting_of_jax_is_another_program_that_draws_the_same_levels(cache: Path) -> None:
     """A context manager may set it, too: the program is traced in a thread, which does not inherit that."""
     keys, config = level_keys(KEY, 4), GeneratorConfig()

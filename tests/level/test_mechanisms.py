@@ -47,7 +47,14 @@ def bottoms_of(levels: Level) -> np.ndarray:
     return np.concatenate([corners[..., 1].min(axis=2), levels.position[:, polygons:, 1] - shapes.radius], axis=1)
 
 
-@pytest.mark.parametrize(("size", "family"), [(size, name) for size, names in FAMILIES_OF.items() for name in names])
+@pytest.mark.parametrize(
+    ("size", "family"),
+    [
+        pytest.param(size, name, marks=pytest.mark.long if size == "l" else [])
+        for size, names in FAMILIES_OF.items()
+        for name in names
+    ],
+)
 def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, family: str) -> None:
     levels = levels_of(size, family)
     # Blocks and the floor; a link and the floor.

@@ -38,6 +38,7 @@ def colours_of_wheels(levels) -> np.ndarray:
     return found
 
 
+@pytest.mark.long
 def test_the_mirror_image_moves_as_the_level_does(levels):
     env, plain, image = levels
     space, num_worlds = env.action_space, plain.position.shape[0]

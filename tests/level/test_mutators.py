@@ -79,6 +79,7 @@ def test_each_mutator_changes_what_it_says():
     assert (level.shape_role != before.shape_role)[changed].any(1).all()
 
 
+@pytest.mark.long
 def test_a_full_level_takes_no_more_and_an_empty_one_loses_nothing():
     for name in ("add_shape", "add_joined_shape"):
         once = jax.vmap(lambda key, level, name=name: apply(name, key, level, CAPACITY, CONFIG))

@@ -37,7 +37,9 @@ def rows_of(size: str, config: GeneratorConfig, num_levels: int = NUM_LEVELS) ->
 
 
 # What is true of M is of L, which has more of the same; the next test draws L too.
-@pytest.mark.parametrize("size", ["s", "m", pytest.param("l", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "size", ["s", pytest.param("m", marks=pytest.mark.long), pytest.param("l", marks=pytest.mark.slow)]
+)
 def test_the_distribution_is_that_of_the_public_package(size: str) -> None:
     far = [row for row in rows_of(size, GENERATORS["kinetix"]).values() if not row.deviation < MAX_DEVIATION]
     assert not far
@@ -55,6 +57,7 @@ def test_our_own_distribution_differs_in_what_the_rules_of_the_package_change() 
         assert rows[name].deviation > MAX_DEVIATION, rows[name]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("details", "closest"), [((), 0.1), (("wide_margins",), 0.1 * 2**0.5)])
 def test_wide_margins_keep_circles_from_the_walls(details: tuple[str, ...], closest: float) -> None:
     """Wide margins are a few centimetres, too little for the statistics above. Here every circle has a radius of 0.1

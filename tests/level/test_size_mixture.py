@@ -123,6 +123,7 @@ def groups():
     return keys, levels
 
 
+@pytest.mark.long
 def test_fresh_levels_of_a_group_have_the_shares_of_the_mixture(groups):
     keys, levels = groups
     numbers = np.asarray(size_numbers(levels)).reshape(len(keys), 8)
@@ -131,6 +132,7 @@ def test_fresh_levels_of_a_group_have_the_shares_of_the_mixture(groups):
     assert (numbers[:, 6:] == 1).any()  # drawn as M; one with little in it counts as S
 
 
+@pytest.mark.long
 def test_fresh_levels_are_those_drawn_that_do_not_solve_themselves_size_by_size(groups):
     keys, levels = groups
     drawn = jax.vmap(lambda key: generate_mixture(key, (("s", 12), ("m", 4)), SIZES["m"], CONFIG))(keys)

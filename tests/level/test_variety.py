@@ -39,7 +39,10 @@ def bodies(levels: Level, world: int) -> list[set[int]]:
     return groups
 
 
-@pytest.mark.parametrize(("size", "name"), [("s", "default"), ("l", "default"), ("l", "tasks")])
+@pytest.mark.parametrize(
+    ("size", "name"),
+    [("s", "default"), *(pytest.param("l", name, marks=pytest.mark.long) for name in ("default", "tasks"))],
+)
 def test_a_varied_level_is_valid_and_looks_as_before(size: str, name: str) -> None:
     plain, varied = levels_of(size, 0.0, name), levels_of(size, 1.0, name)
     assert_valid(varied, SIZES[size], max_red=SIZES[size].shapes)

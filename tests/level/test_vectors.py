@@ -49,6 +49,7 @@ def from_vectors(size, vectors):
     return jax.tree.map(np.asarray, _decode(size)(vectors, draws))
 
 
+@pytest.mark.long
 @SIZE
 def test_a_level_comes_back_from_its_vector_whatever_the_order_of_its_slots(size):
     vectors = to_vectors(size)(drawn(size))

@@ -46,6 +46,7 @@ def _outputs(module, params) -> np.ndarray:
     return np.concatenate([*[np.asarray(head) for head in logits], np.asarray(value)[:, None]], axis=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("network", "read_out", "tolerance"),
     [("transformer_lean", "colour", 1e-6), ("transformer", "colour", 0.15), ("transformer_kinetix", "pooled", 0.15)],

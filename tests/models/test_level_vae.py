@@ -49,6 +49,7 @@ def model():
     return fit(drawn()[0], jax.random.key(1), CAPACITY, CONFIG, VaeConfig(num_steps=2500))
 
 
+@pytest.mark.long
 def test_its_loss_falls():
     _, losses = model()
     assert np.isfinite(losses).all() and losses[-100:].mean() < 0.1 * losses[0]

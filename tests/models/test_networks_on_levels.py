@@ -76,7 +76,7 @@ def outputs_of_levels(observation: str, size: str) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.parametrize("observation", POLICIES)
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", ["s", *(pytest.param(size, marks=pytest.mark.long) for size in ("m", "l"))])
 def test_the_order_of_slots_does_not_matter(observation: str, size: str) -> None:
     """Compared at a start: the touches that the public package sees one way depend on slots."""
     _, own, shuffled = outputs_of_levels(observation, size)

@@ -66,6 +66,7 @@ def test_the_transformer_has_the_parameters_of_the_paper_and_those_for_sliders()
     assert num_parameters(shapes) == encoders + 2 * layer + towers == 786_417 + 3 * 128
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("read_out", "max_qk_norm"), [("pooled", 0.0), ("colour", 0.0), ("pooled", 1.7)])
 def test_a_lean_layer_is_what_its_formula_says(read_out, max_qk_norm):
     """Computed in numpy, in float64, world by world and token by token."""

@@ -44,7 +44,7 @@ def lowered() -> Iterator[list[tuple[str, str]]]:
 PROGRAMS = {"jit(rollout)", "jit(update)", "jit(_score)"}
 
 
-@pytest.mark.parametrize("is_resumed", [False, True])
+@pytest.mark.parametrize("is_resumed", [pytest.param(False, marks=pytest.mark.long), True])
 def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowered, is_resumed, monkeypatch):
     monkeypatch.setattr(programs, "has_cores", lambda: True)
     config, mesh = tiny_config(num_updates=8, num_curators=0), data_mesh(jax.devices()[:1])
@@ -75,6 +75,7 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
     worker._evaluation_programs.wait()
 
 
+@pytest.mark.long
 def test_a_new_policy_is_evaluated_by_the_program_that_was_compiled_while_random_actions_played(lowered, monkeypatch):
     monkeypatch.setattr(programs, "has_cores", lambda: True)
     config, mesh = tiny_config(num_updates=8), data_mesh(jax.devices()[:1])

@@ -75,6 +75,7 @@ def waited_for(tmp_path_factory):
     return rows, recorded, final_arrays(path)
 
 
+@pytest.mark.long
 def test_what_was_in_flight_at_a_checkpoint_is_done_again_by_a_run_that_goes_on_from_it(waited_for, tmp_path):
     """One evaluation comes with each update here, so that the recording due with it is in flight until the next one."""
     rows, recorded, arrays = waited_for

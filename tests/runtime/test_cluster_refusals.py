@@ -45,6 +45,7 @@ def _refusal(cluster, monkeypatch, capfd, *arguments) -> str:
     return lines[0]
 
 
+@pytest.mark.long
 def test_nodes_of_the_same_code_that_see_the_run_directory_are_well(joined, tmp_path):
     check_nodes(tmp_path)
     assert not list(tmp_path.iterdir())
@@ -64,6 +65,7 @@ def test_a_cluster_of_another_ray(cluster, monkeypatch, capfd, tmp_path):
     assert "is of other versions: The cluster was started with: Ray: 2." in line and "Ray: 2.0.0" in line
 
 
+@pytest.mark.long
 def test_a_node_of_another_checkout_and_one_that_does_not_see_the_run_directory(joined, tmp_path):
     """A node in a mount namespace of its own, where something else is mounted at the path of the run directory; it
     imports from links to this checkout, then from a copy with another line."""

@@ -24,6 +24,7 @@ def compiled(caplog):
         yield names
 
 
+@pytest.mark.long
 def test_a_prepared_curator_compiles_nothing_for_its_first_probe(compiled):
     config = tiny_config(num_updates=8)
     log = dataclasses.replace(config.curriculum_log, probe_levels=4)

@@ -42,7 +42,7 @@ CURRICULA = {
 }
 STUDENTS = ("learner/params/", "curriculum/antagonist/params/")
 # One that keeps as much as any, whose learner is compiled for other tests too; and the one with a curator.
-IN_MAKE_TEST = ("plr", "sfl_slices")
+MARKS = {"plr": [], "sfl_slices": pytest.mark.long}
 
 
 def _config(name, **run):
@@ -74,9 +74,7 @@ def _what_was_learned(row):
     return learned
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name in IN_MAKE_TEST else pytest.mark.slow) for name in CURRICULA]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, pytest.mark.slow)) for name in CURRICULA])
 def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_path):
     """Split placement: the batch in flight at the checkpoint is played again from the state that proposed it."""
     config = _config(name, placement="split", checkpoint_every=SAVED_AT)

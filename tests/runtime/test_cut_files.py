@@ -20,6 +20,7 @@ def _last_lines(path, count):
     return b"".join(lines[:-count]), b"".join(lines[-count:])
 
 
+@pytest.mark.long
 def test_metrics_cut_at_every_byte_go_on_with_whole_rows(finished_run, tmp_path):
     before, last = _last_lines(finished_run / "metrics" / "metrics.jsonl", 1)
     path = tmp_path / "metrics.jsonl"

@@ -53,6 +53,7 @@ def test_updates_and_seconds_at_once_are_refused():
         EvaluationConfig(every_seconds=-1.0)
 
 
+@pytest.mark.long
 def test_every_session_counts_its_first_update_as_warm_up(tmp_path):
     def train(num_updates, *, resume):
         config = tiny_config(num_updates=num_updates, checkpoint_every=2)

@@ -29,6 +29,7 @@ from tests.runtime import closures_program, exported_rollout_program
 from tests.runtime.runs import tiny_config
 
 
+@pytest.mark.long
 def test_another_process_reads_it_and_plays_the_same_bits(tmp_path: Path) -> None:
     with compile_cache(tmp_path):
         module._cached.cache_clear()

@@ -23,6 +23,7 @@ def _the_line(process, status: int = 1) -> str:
     return line
 
 
+@pytest.mark.long
 def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
     levels = tmp_path / "levels"
     levels.mkdir()
@@ -51,6 +52,7 @@ def test_kernels_that_the_device_of_a_worker_cannot_run_are_refused(tmp_path):
     assert not (tmp_path / "run" / "config.json").exists()
 
 
+@pytest.mark.long
 def test_a_run_on_ray_is_seen_by_nobody_else_and_ends_when_a_worker_is_lost_too_often(tmp_path, monkeypatch):
     """Two workers: JAX's coordinator and the sockets of collectives are there too."""
     run = tmp_path / "run"

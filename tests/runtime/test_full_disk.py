@@ -91,6 +91,7 @@ class _HookedReporter(RunReporter):
         self.at_update(num_updates)
 
 
+@pytest.mark.long
 def test_training_goes_on_for_100_updates_on_a_full_disk_and_all_files_after_it(tmp_path):
     first, last = 3, 103
     config = tiny_config(num_updates=110, checkpoint_every=20)

@@ -49,6 +49,7 @@ def test_the_estimate_of_a_threads_local_memory_is_above_that_of_the_kernel_but_
     assert 1.0 < thread_bytes(SIZES[size]) / COMPILED_THREAD_BYTES[size] < 1.25
 
 
+@pytest.mark.long
 def test_what_was_recorded_of_a_kernel_is_what_it_compiles_to(monkeypatch):
     monkeypatch.setattr(wp.config, "optimization_level", None)  # as for users: tests have another one for a CPU
     capacity = SIZES["s"]

@@ -56,6 +56,7 @@ def eight_updates(tmp_path_factory):
     return path, reporter.rows
 
 
+@pytest.mark.long
 def test_a_buffer_requested_at_update_k_is_used_from_k_plus_adopt_after_on(eight_updates):
     path, rows = eight_updates  # refresh every 3, adopted after 2; the first at once
     events = [json.loads(line) for line in (path / "events.jsonl").read_text().splitlines()]
@@ -359,6 +360,7 @@ def _run_split(num_updates, path, *, resume=False, trainer_of=SplitTrainer, stop
         directory.close()
 
 
+@pytest.mark.long
 def test_a_resumed_split_run_plays_the_batch_that_was_in_flight_again(tmp_path, monkeypatch):
     """The buffer of the batch after it may have been adopted right before a signal, or right after a checkpoint."""
     monkeypatch.setattr(refreshes, "MAX_EARLY_S", np.inf)

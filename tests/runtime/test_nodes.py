@@ -44,6 +44,7 @@ class _Placed:
         pass
 
 
+@pytest.mark.long
 def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_back(cluster):
     """Two workers and a curator in three slots, one of them on a second node."""
     node = cluster.add_node(num_cpus=1)

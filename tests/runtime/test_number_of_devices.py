@@ -31,6 +31,7 @@ def by_count(request, tmp_path_factory):
     }
 
 
+@pytest.mark.long
 def test_seven_devices_play_the_worlds_of_one(by_count):
     """Levels and actions to the bit, of eight groups."""
     found, expected = by_count[7], by_count[1]

@@ -100,7 +100,7 @@ def _train(config, path, *, resume, reporter=None):
     return reporter.rows
 
 
-@pytest.fixture(scope="module", params=["local", "split"])
+@pytest.fixture(scope="module", params=[pytest.param("local", marks=pytest.mark.long), "split"])
 def unbroken(request, tmp_path_factory):
     """(config, folder, rows, notes) of a run that nothing disturbs."""
     config, path = _config(request.param), tmp_path_factory.mktemp(request.param) / "run"
@@ -207,6 +207,7 @@ def test_what_makes_another_policy_of_the_same_parameters_is_said(unbroken):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unbroken", ["local"], indirect=True)
 def test_a_run_with_more_layers_starts_from_a_policy_with_fewer(unbroken, tmp_path):
     """The learned layers are taken as they are, those that are missing are added, and their number is noted."""

@@ -72,6 +72,7 @@ def _sums(effects, weights):
     return jax.device_get(core.play(weights, curriculum.init(), 0)[-1])["physics"]
 
 
+@pytest.mark.long
 def test_effects_that_an_engine_lacks_and_contacts_without_a_slot_are_counted(worker):
     weights = worker.weights()  # the policy is the same, whatever levels are played
     full = Effects.full(tiny_config(num_updates=1).env.capacity)

@@ -55,6 +55,7 @@ def _devices(handles, backend):
     return backend.gather([handle.call("devices") for handle in handles])
 
 
+@pytest.mark.long
 def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_restart(backend):
     placement = _plan_of_slots(num_gpus=2)  # of three
     backend.reserve(placement)
@@ -123,6 +124,7 @@ def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
         backend.spawn([dataclasses.replace(process, gpu=None, gpu_share=0.0)], build_facts)
 
 
+@pytest.mark.long
 def test_learners_and_actors_are_started_at_the_same_time(backend, tmp_path):
     groups = [
         Group([ProcessPlan(role=role, index=0, env_vars=ON_CPU)], build_together, (str(tmp_path), 2))
@@ -136,6 +138,7 @@ def test_learners_and_actors_are_started_at_the_same_time(backend, tmp_path):
 # A group of two
 
 
+@pytest.mark.long
 def test_a_port_that_is_taken_after_it_was_found_free_is_a_loss_and_not_the_end(backend, monkeypatch):
     """Another program takes it between the two: the group is lost, and started again with another port."""
     plans = [ProcessPlan(role="worker", index=index, env_vars=ON_CPU) for index in range(2)]
@@ -168,6 +171,7 @@ def restarted(backend, tmp_path_factory):
     backend.kill(handles)
 
 
+@pytest.mark.long
 def test_after_a_restart_no_rank_of_a_group_compiles_again(restarted):
     assert restarted[1] == [[0, 0], [1, 1]]
 
@@ -222,6 +226,7 @@ def _wait_for(condition, seconds=PATIENCE_S):
         time.sleep(0.1)
 
 
+@pytest.mark.long
 def test_answers_that_are_never_fetched_or_whose_process_dies_while_it_stores_them_leave_nothing(backend, tmp_path):
     (process,) = backend.spawn([ProcessPlan(role="rollout", index=0, env_vars=ON_CPU)], build_compiler, str(tmp_path))
     before = _stored_mib()
@@ -269,6 +274,7 @@ def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_li
     backend.sections.limits = {}
 
 
+@pytest.mark.long
 def test_settings_of_the_network_reach_processes_and_others_do_not(backend, monkeypatch):
     monkeypatch.setenv("NCCL_SOCKET_IFNAME", "eth7")
     monkeypatch.setenv("SOMETHING_ELSE", "here")
@@ -328,6 +334,7 @@ def test_a_process_says_that_it_compiles_and_nothing_else_is_taken_for_that():
     assert of_thread(lambda: traced(1.0)) == 0.0
 
 
+@pytest.mark.long
 def test_an_idle_process_that_dies_is_noticed_where_others_are_waited_for(backend, tmp_path):
     plans = [ProcessPlan(role="rollout", index=index, env_vars=ON_CPU) for index in range(2)]
     idle, well = backend.spawn(plans, build_compiler, str(tmp_path))

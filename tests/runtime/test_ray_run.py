@@ -70,6 +70,7 @@ def test_ray_colocated_gives_the_same_parameters_as_local_mode_bit_for_bit(ray_b
     assert_same_bits(final_arrays(tmp_path / "ray"), local_arrays)
 
 
+@pytest.mark.long
 def test_a_curator_a_worker_and_the_one_in_its_place_are_killed_and_nothing_is_lost(ray_backend, tmp_path, monkeypatch):
     """One of two curators dies with its part of the refresh of update 3, due at 5: training goes on, and the buffer
     comes late or never.
@@ -117,6 +118,7 @@ def test_a_curator_a_worker_and_the_one_in_its_place_are_killed_and_nothing_is_l
     assert_same_bits(final_arrays(repeated), final_arrays(ray))
 
 
+@pytest.mark.long
 def test_a_worker_that_scores_levels_itself_is_killed_over_it_and_nothing_is_lost(ray_backend, local_arrays, tmp_path):
     killed = []
 
@@ -132,6 +134,7 @@ def test_a_worker_that_scores_levels_itself_is_killed_over_it_and_nothing_is_los
     assert_same_bits(final_arrays(path), local_arrays)
 
 
+@pytest.mark.long
 def test_a_fork_server_that_is_stopped_is_replaced(ray_backend, local_arrays, tmp_path, monkeypatch):
     """Every process that starts would wait for it, and count as lost."""
     noted = []
@@ -149,6 +152,7 @@ def test_a_fork_server_that_is_stopped_is_replaced(ray_backend, local_arrays, tm
     assert_same_bits(final_arrays(tmp_path / "ray"), local_arrays)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("count", "num_curators"), [(2, 0), pytest.param(3, 1, marks=pytest.mark.slow)])
 def test_several_workers_over_gloo_agree_with_one(ray_backend, local_arrays, tmp_path, count, num_curators):
     """Two share the scoring, too. Three of them cannot share the four world groups evenly."""
@@ -215,6 +219,7 @@ def test_parts_of_a_user_are_trained_in_one_process_and_on_ray_alike(ray_backend
     assert_same_bits(final_arrays(tmp_path / "ray"), arrays)
 
 
+@pytest.mark.long
 def test_a_curriculum_of_a_user_goes_on_where_its_run_was_cut(tmp_path):
     """Split placement: the batch in flight was proposed by the state before the last one that was seen."""
     run = {"placement": "split", "num_rollout_actors": 2}

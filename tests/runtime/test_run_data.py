@@ -221,6 +221,7 @@ def test_in_the_split_placement_a_window_ends_with_the_batches_of_a_buffer(tmp_p
     assert [int(snapshot.arrays["first_batch"]) for snapshot in _snapshots(path)] == [*first_batch.values()]
 
 
+@pytest.mark.long
 def test_a_replay_buffer_is_written_with_each_checkpoint(tmp_path):
     curriculum = CurriculumConfig(name="accel", buffer_size=12)
     path = tmp_path / "accel"

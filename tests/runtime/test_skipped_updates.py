@@ -52,6 +52,7 @@ def test_parameters_that_a_fault_made_nan_go_back_to_the_checkpoint_and_the_run_
     assert_same_bits(final_arrays(tmp_path / "run"), final_arrays(finished_run))
 
 
+@pytest.mark.long
 def test_a_run_that_cannot_learn_does_not_end_with_0(tmp_path, capsys):
     assert main(["train", "--run", str(tmp_path / "all"), *tiny_options(2), *OVERFLOWS]) == 1
     line = capsys.readouterr().err.strip().splitlines()[-1]

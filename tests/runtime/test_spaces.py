@@ -26,9 +26,10 @@ FIRST_ENTROPY = {
     "discrete": math.log(11),
     "continuous": 6 * 0.5661 - 2 * math.log(2),
 }
-PLAIN = {("entity", "continuous"), ("flat", "discrete"), ("pixels", "multi_discrete")}
+# Others are slow.
+MARKS = {("entity", "continuous"): [], ("flat", "discrete"): [], ("pixels", "multi_discrete"): pytest.mark.long}
 COMBINATIONS = [
-    pytest.param(observation, space, marks=[] if (observation, space) in PLAIN else pytest.mark.slow)
+    pytest.param(observation, space, marks=MARKS.get((observation, space), pytest.mark.slow))
     for observation in NETWORK_OF
     for space in ACTION_SPACES
 ]

@@ -76,6 +76,7 @@ LOSSES = {
 IN_MAKE_TEST = "learner and actor"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "who", [pytest.param(who, marks=[] if who == IN_MAKE_TEST else pytest.mark.slow) for who in LOSSES]
 )

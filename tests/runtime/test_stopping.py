@@ -106,6 +106,7 @@ with StopSignals() as stop:
 """
 
 
+@pytest.mark.long
 def test_while_its_processes_on_ray_start_a_run_ends_at_once(tmp_path):
     """Ray's wait, in which the signal comes then, hands on an error of its own."""
     run = tmp_path / "run"
@@ -117,6 +118,7 @@ def test_while_its_processes_on_ray_start_a_run_ends_at_once(tmp_path):
     assert parse(["--run", str(run), "--resume"]).run == run  # as the line says
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "reaches", [pytest.param("the process group", marks=pytest.mark.slow), "the servers of Ray as well"]
 )

@@ -407,6 +407,7 @@ def test_a_generator_is_replaced_first_and_single_fields_after_it():
     assert found == dataclasses.replace(generator("kinetix"), triangle_chance=0.5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("field", dataclasses.fields(Settings), ids=lambda field: field.name)
 def test_every_field_of_the_physics_can_be_given_on_the_command_line(field):
     other = {"solver": "sequential_impulses", "friction_mixing": "root_sum_square", "warm_start": False, "dt": 0.02}

@@ -249,6 +249,7 @@ def test_reset_plays_the_same_episode_again() -> None:
     assert runs[0] == runs[1]
 
 
+@pytest.mark.long
 def test_programs_that_were_forgotten_are_compiled_again_and_give_the_same() -> None:
     session = Session(1, CONFIG, level(), seed=1)
     session.set_actor(policy_of("random").actor(CONFIG, level()))

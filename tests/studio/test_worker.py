@@ -181,6 +181,7 @@ def test_four_sessions_at_once_and_no_fifth(worker: Client) -> None:
     assert refused(worker, "play.control", session=sessions[0]["session"], do="run").code == wire.NOT_FOUND
 
 
+@pytest.mark.long
 def test_a_slow_client_loses_frames_but_neither_order_nor_replies(tmp_path: Path) -> None:
     client = Client(log=tmp_path / "log")
     answer = client.request("play.open", level={"document": document("l/walker")}, env={"max_steps": 100_000})
