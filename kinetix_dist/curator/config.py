@@ -70,18 +70,16 @@ class PairedConfig:
 class SlicesConfig:
     """Renewal of the buffer of "sfl_slices": `num_candidates` and `refresh_every` are of a slice there."""
 
-    slice_size: int = 256  # levels of the buffer that a refresh replaces
-    num_harvested: int = 0  # candidates of a refresh, at most, that are fresh levels which training solved
+    slice_size: int = setting(256, minimum=1)  # levels of the buffer that a refresh replaces
+    num_harvested: int = setting(0, minimum=0)  # candidates of a refresh, at most, that training solved as fresh levels
     attempts: tuple[int, ...] = (2, 8, 24)  # episodes of a candidate after each round of scoring, all from all rounds
     keep_one_of: tuple[int, ...] = (3, 2)  # the best of so many candidates of a scoring batch play the next round
-    window: int = 16  # plays in training, the last ones, by which a level leaves
+    window: int = setting(16, minimum=1)  # plays in training, the last ones, by which a level leaves
     leave_above: float = 0.9  # solve rate in the window above which a level leaves: mastered
     leave_below: float = 0.05  # and below which it does: out of reach
 
     def __post_init__(self) -> None:
-        for name, least in (("slice_size", 1), ("num_harvested", 0), ("window", 1)):
-            if getattr(self, name) < least:
-                raise ValueError(f"SlicesConfig.{name} is {getattr(self, name)}; it must be {least} or more")
+        check_settings(self)
         if (
             not self.attempts
             or any(after <= before for before, after in itertools.pairwise([0, *self.attempts]))

@@ -7,6 +7,7 @@ import math
 
 from kinetix_dist.level.mechanisms import FAMILIES
 from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.setting import check_settings, setting
 
 # Details of the public package that no number expresses. docs/level_format.md, "Random levels", has their effects.
 PUBLISHED_DETAILS = (
@@ -43,70 +44,72 @@ TASK_FAMILIES = (
     "gripper",
     "pinball",
 )
-_CHANCES = (
-    "mechanism_share", "varied_share",
-    "opposite_side_chance", "large_rectangle_chance", "triangle_chance", "fixed_chance", "fixed_low_bias",
-    "motor_on_chance", "forced_motor_on_chance", "limits_chance", "fixed_joint_chance", "thruster_aligned_chance",
-    "joined_shape_chance", "free_shape_chance", "thruster_chance", "floor_blue_chance", "floor_red_chance",
-)  # fmt: skip
+
+
+def _chance(default: float) -> float:
+    return setting(default, minimum=0, maximum=1)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class GeneratorConfig:
     """Parameters of random levels. Chances are 0..1, lengths m, angles rad, speeds and powers in engine units."""
 
-    num_proposals: int = 8  # drawn for each addition; the one with the fewest overlaps is added
-    num_proposals_s: int = 8  # the same where there are at most 3 shapes besides the walls, as in size S
+    num_proposals: int = setting(8, minimum=1)  # drawn for each addition; the one with the fewest overlaps is added
+    num_proposals_s: int = setting(8, minimum=1)  # the same with at most 3 shapes besides the walls, as in S
     published_details: tuple[str, ...] = ()  # of PUBLISHED_DETAILS
     # What is added after green, blue and the forced control
-    joined_shape_chance: float = 0.35
-    free_shape_chance: float = 0.35  # the rest: nothing
-    thruster_chance: float = 0.3
-    floor_blue_chance: float = 0.02
-    floor_red_chance: float = 0.08
+    joined_shape_chance: float = _chance(0.35)
+    free_shape_chance: float = _chance(0.35)  # the rest: nothing
+    thruster_chance: float = _chance(0.3)
+    floor_blue_chance: float = _chance(0.02)
+    floor_red_chance: float = _chance(0.08)
     # Shapes
     max_shape_size: float = 1.0  # m, diameter of the circle a box fits into (before lengthening)
     min_half_extent: float = 0.05  # m
     min_radius: float = 0.1  # m
     circle_size_factor: float = 0.8  # circles are at most this share of max_shape_size across
-    large_rectangle_chance: float = 0.3  # one side is lengthened
+    large_rectangle_chance: float = _chance(0.3)  # one side is lengthened
     large_rectangle_scale: float = 2.0
-    triangle_chance: float = 0.0
-    opposite_side_chance: float = 0.5  # green starts on one half of the box and blue on the other
+    triangle_chance: float = _chance(0.0)
+    opposite_side_chance: float = setting(
+        0.5, minimum=0, maximum=1
+    )  # green starts on one half of the box and blue on the other
     # Fixed shapes (free ones of sizes M and L only: in S everything moves)
     allow_fixed: bool | None = None  # None: where there are more than 3 shapes besides the walls
-    fixed_chance: float = 0.02
+    fixed_chance: float = _chance(0.02)
     fixed_chance_per_mass: float = 4.0  # 1/kg, large shapes are nearly always fixed
-    fixed_low_bias: float = 0.6  # fixed green, blue or red shapes are moved to the lower half
+    fixed_low_bias: float = setting(
+        0.6, minimum=0, maximum=1
+    )  # fixed green, blue or red shapes are moved to the lower half
     # Joints
     connect_to_fixed_factor: float = 0.05  # weight of a fixed shape as something to join
     min_visibility: float = 0.05  # m by which each of two joined shapes must stick out of the other
     hidden_fine: float = 10.0  # cost, in overlaps, of a shape that does not
-    fixed_joint_chance: float = 0.1
-    min_revolute_joints: int = 0  # that a level has before it gets a fixed joint
-    limits_chance: float = 0.4  # between polygons
+    fixed_joint_chance: float = _chance(0.1)
+    min_revolute_joints: int = setting(0, minimum=0)  # that a level has before it gets a fixed joint
+    limits_chance: float = _chance(0.4)  # between polygons
     limit_max: float = math.pi  # rad, of either limit
-    motor_on_chance: float = 0.8
-    forced_motor_on_chance: float = 1.0  # of the motor that a level gets first: below 1 some have nothing to control
+    motor_on_chance: float = _chance(0.8)
+    forced_motor_on_chance: float = setting(
+        1.0, minimum=0, maximum=1
+    )  # of the motor that a level gets first: below 1 some have nothing to control
     motor_speed_min: float = 0.4
     motor_speed_max: float = 3.0
     motor_power_min: float = 1.0
     motor_power_max: float = 3.0
     wheel_power_max: float = 1.0  # where one of the two is a circle
     # Thrusters
-    thruster_aligned_chance: float = 0.8  # pushes through the centre of mass
+    thruster_aligned_chance: float = _chance(0.8)  # pushes through the centre of mass
     thruster_power_factor: float = 2.0  # times mass times 0.5..2
     # Levels with one mechanism, see `mechanisms/`
-    mechanism_share: float = 0.0  # of the levels; the others are random as above
+    mechanism_share: float = _chance(0.0)  # of the levels; the others are random as above
     mechanism_families: tuple[str, ...] = LOCOMOTION_FAMILIES  # drawn are those for which the size has room
     mechanism_weights: tuple[float, ...] = ()  # of the families, in their order; empty: all are equally likely
     # Levels, of all of these, with other powers, densities, frictions and so on, see `variety.py`
-    varied_share: float = 0.0
+    varied_share: float = _chance(0.0)
 
     def __post_init__(self) -> None:
-        for name in _CHANCES:
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"GeneratorConfig.{name} is {getattr(self, name)}; chances are 0 to 1")
+        check_settings(self)
         if self.joined_shape_chance + self.free_shape_chance > 1.0:
             raise ValueError(
                 f"joined_shape_chance {self.joined_shape_chance} and free_shape_chance {self.free_shape_chance} "
@@ -114,11 +117,6 @@ class GeneratorConfig:
             )
         if self.floor_blue_chance + self.floor_red_chance > 1.0:
             raise ValueError("floor_blue_chance and floor_red_chance add up to more than 1; lower one")
-        for name in ("num_proposals", "num_proposals_s"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"GeneratorConfig.{name} is {getattr(self, name)}; draw at least 1")
-        if self.min_revolute_joints < 0:
-            raise ValueError(f"GeneratorConfig.min_revolute_joints is {self.min_revolute_joints}; it must be 0 or more")
         if unknown := [name for name in self.published_details if name not in PUBLISHED_DETAILS]:
             raise ValueError(
                 f"GeneratorConfig.published_details has {unknown[0]!r}; there are {', '.join(PUBLISHED_DETAILS)}"

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.setting import check_settings, setting
 from kinetix_dist.telemetry.json_lines import read_lines
 
 FORMAT = 1  # of snapshots
@@ -38,19 +39,13 @@ _NAME = re.compile(rf"({'|'.join(KINDS)})_(\d{{8}})\.npz")
 class CurriculumLogConfig:
     """Amount of the curriculum that is written down. Changes no number of training."""
 
-    outcomes_every: int = 16  # updates that a line of outcomes.jsonl covers at most; 0: none is written
-    probe_levels: int = 256  # of the outgoing buffer, played again by the policy of the next refresh; 0: none
-    probe_every: int = 1  # refreshes from one that plays such levels to the next
-    max_snapshots: int = 64  # files of a kind that keep their levels; 0: no file is written
+    outcomes_every: int = setting(16, minimum=0)  # updates that a line of outcomes.jsonl covers at most; 0: no lines
+    probe_levels: int = setting(256, minimum=0)  # of the outgoing buffer, played again by the next refresh; 0: none
+    probe_every: int = setting(1, minimum=1)  # refreshes from one that plays such levels to the next
+    max_snapshots: int = setting(64, minimum=0)  # files of a kind that keep their levels; 0: no file is written
 
     def __post_init__(self) -> None:
-        for name in ("outcomes_every", "probe_levels", "max_snapshots"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"CurriculumLogConfig.{name} is {getattr(self, name)}; it must be 0 or more")
-        if self.probe_every < 1:
-            raise ValueError(
-                f"CurriculumLogConfig.probe_every is {self.probe_every}; give 1 or more, or probe_levels 0 for no probe"
-            )
+        check_settings(self)
         if self.max_snapshots == 1:
             raise ValueError(
                 "CurriculumLogConfig.max_snapshots is 1; the first and the newest stay: give 2 or more, or 0"

@@ -196,7 +196,7 @@ def test_triangles_appear_when_counts_for_and_have_their_centroid_at_the_origin(
 
 
 def test_bad_parameters_and_capacities_are_refused_with_their_numbers() -> None:
-    with pytest.raises(ValueError, match=r"motor_on_chance is 1\.5; chances are 0 to 1"):
+    with pytest.raises(ValueError, match=r"motor_on_chance is 1\.5; it must be from 0 to 1"):
         GeneratorConfig(motor_on_chance=1.5)
     with pytest.raises(ValueError, match="add up to more than 1"):
         GeneratorConfig(joined_shape_chance=0.7, free_shape_chance=0.7)

@@ -755,7 +755,7 @@ def test_a_level_depends_on_its_key_and_number_alone() -> None:
 def test_what_cannot_be_drawn_is_refused_with_its_name() -> None:
     with pytest.raises(ValueError, match=r"mechanism_families has 'boat'; there are .*\bcar, "):
         GeneratorConfig(mechanism_families=("car", "boat"))
-    with pytest.raises(ValueError, match=r"mechanism_share is 1\.5; chances are 0 to 1"):
+    with pytest.raises(ValueError, match=r"mechanism_share is 1\.5; it must be from 0 to 1"):
         GeneratorConfig(mechanism_share=1.5)
     cars = dataclasses.replace(generator("locomotion"), mechanism_families=("car",))
     with pytest.raises(ValueError, match="no family of mechanism_families car has room in 5 polygons, 2 circles"):

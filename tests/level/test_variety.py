@@ -199,5 +199,5 @@ def test_a_share_of_the_levels_is_varied_and_the_others_are_as_without() -> None
 
 
 def test_a_share_that_is_none_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"varied_share is -0\.1; chances are 0 to 1"):
+    with pytest.raises(ValueError, match=r"varied_share is -0\.1; it must be from 0 to 1"):
         GeneratorConfig(varied_share=-0.1)

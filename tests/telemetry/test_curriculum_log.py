@@ -147,7 +147,7 @@ def test_every_so_many_refreshes_play_levels_again_and_never_the_first(config, r
 
 
 def test_no_refresh_is_every_zeroth():
-    with pytest.raises(ValueError, match="probe_every is 0; give 1 or more, or probe_levels 0"):
+    with pytest.raises(ValueError, match="probe_every is 0; it must be 1 or more"):
         CurriculumLogConfig(probe_every=0)
 
 
