@@ -92,9 +92,25 @@ LONGEST_FILES = (
 )
 
 
+# Each preset is an engine of its own to compile: `make test` has the default one.
+OTHER_PRESETS = {"draft", "fine", "paper"}
+
+
+def _is_of_another_preset(item: pytest.Item) -> bool:
+    callspec = getattr(item, "callspec", None)
+    return "engine" in item.path.parts and callspec is not None and bool(_names(callspec.params) & OTHER_PRESETS)
+
+
+def _names(params: dict[str, object]) -> set[str]:
+    return {value for value in params.values() if isinstance(value, str)}
+
+
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     place = {name: number for number, name in enumerate(LONGEST_FILES)}
+    for item in items:
+        if _is_of_another_preset(item):
+            item.add_marker("long")
     items.sort(key=lambda item: place.get(item.path.name, len(place)))
     if _asks_for_gpu_tests(config):
         for item in items:

@@ -205,7 +205,7 @@ def files_of_set(name: str) -> list[Path]:
         if not files:
             raise FileNotFoundError(f"no .json level files in {path}; give a directory of them{foreign_files(path)}")
         return files
-    if path.suffix or len(path.parts) > 1:
+    if path.suffix or path.is_absolute():
         raise FileNotFoundError(f"there is no level file or directory {name}")
     known = [*sets, *VARIED_SETS, *RANDOM_SETS, *frontier_sets()]
     known_sets = f"sets are {', '.join(known)}, or give a level file or a directory of them"

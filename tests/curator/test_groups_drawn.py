@@ -10,16 +10,14 @@ import pytest
 from kinetix_dist.curator.config import CurriculumConfig
 from tests.curator.proposals import GROUPS, buffer_of, propose
 
+pytestmark = pytest.mark.long
+
 OPTIMISED = True
 
 
 @pytest.mark.parametrize(
     ("name", "parts"),
-    [
-        ("sfl", [[0, 1], [2, 3]]),
-        pytest.param("sfl", [[0, 1, 2], [3]], marks=pytest.mark.long),
-        pytest.param("domain_randomization", [[0], [1], [2, 3]], marks=pytest.mark.long),
-    ],
+    [("sfl", [[0, 1], [2, 3]]), ("sfl", [[0, 1, 2], [3]]), ("domain_randomization", [[0], [1], [2, 3]])],
 )
 def test_levels_of_a_group_do_not_depend_on_which_other_groups_are_drawn(name, parts):
     config = CurriculumConfig(name=name)

@@ -12,6 +12,8 @@ from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.size_mixture import generate_mixture
 from tests.curator.made import curriculum_of
 
+pytestmark = pytest.mark.long
+
 CAPACITY = SIZES["m"]
 FRESH = 4  # levels that a group draws afresh with each of these: 3 of size S, 1 of size M
 SIZES_DRAWN = (("s", 3.0), ("m", 1.0))
@@ -23,9 +25,6 @@ def _nothing_solves_itself(levels):
     return jnp.zeros(levels.position.shape[0], bool)
 
 
-MARKS = {"accel": pytest.mark.slow, "domain_randomization": pytest.mark.long, "plr": pytest.mark.long}
-
-
 class _Unedited(CurriculumTools):
     """Changed levels are the same ones: mutators have tests of their own."""
 
@@ -33,7 +32,9 @@ class _Unedited(CurriculumTools):
         return levels
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, [])) for name in WORLDS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "accel" else []) for name in WORLDS]
+)
 def test_fresh_levels_of_a_group_have_their_share_of_each_size(name):
     config = CurriculumConfig(name=name, buffer_size=4, sizes=SIZES_DRAWN, generator=GENERATOR)
     given = {"capacity": CAPACITY, "solves_itself": _nothing_solves_itself}

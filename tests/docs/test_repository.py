@@ -128,7 +128,7 @@ def test_links_to_files_lead_somewhere(document: Path) -> None:
 
 
 def test_continuous_integration_runs_make_test() -> None:
-    assert re.search(r"^exec make test$", (REPOSITORY / ".ci" / "run").read_text(), re.MULTILINE)
+    assert re.search(r"^make test\nexec make test-long$", (REPOSITORY / ".ci" / "run").read_text(), re.MULTILINE)
 
 
 def test_the_lock_has_hashes_and_no_addresses() -> None:

@@ -28,6 +28,8 @@ from tests.engine.test_momentum import FAMILIES, errors, unlimited, worlds_of
 from tests.engine.test_prismatic import all_kinds
 from tests.engine.test_springs import ball_before_a_platform, flying
 
+pytestmark = pytest.mark.long
+
 OPTIMISED = True  # steps by the hundred: see tests/conftest.py
 
 CAPACITY = Capacity(polygons=6, circles=6, joints=5, thrusters=1, springs=6, extended_shapes=True)
@@ -102,9 +104,7 @@ def two_links(drive: str) -> BuiltWorld:
     return b.build()
 
 
-@pytest.mark.parametrize(
-    ("drive", "control"), [pytest.param("servo", 0.8, marks=pytest.mark.long), ("brake", 0.0), ("brake", 0.3)]
-)
+@pytest.mark.parametrize(("drive", "control"), [("servo", 0.8), ("brake", 0.0), ("brake", 0.3)])
 def test_drives(drive: str, control: float):
     """Momentum too."""
     m, exact = (motion.trajectory for motion in both(two_links(drive), steps=60, motor=control))

@@ -12,6 +12,8 @@ from jax2d.fidelity.reference_scenes import REFERENCE_SCENES
 from jax2d.fidelity.references import SAMPLES_PER_SECOND, solve
 from tests.engine.test_references import stored_positions
 
+pytestmark = pytest.mark.long
+
 OPTIMISED = True  # steps by the ten thousand: see tests/conftest.py
 
 SCENE, SECONDS = "double_pendulum_path", 0.2  # tenths: it is sampled ten times a second
@@ -26,7 +28,6 @@ def solution(division: int) -> np.ndarray:
     return positions[: round(SECONDS * SAMPLES_PER_SECOND)]
 
 
-@pytest.mark.long
 def test_preset_reference_is_converged() -> None:
     """Errors are of first order in the step: that of the preset is a third of what four times the step changes."""
     assert preset("reference").dt == pytest.approx(1 / 60 / DIVISIONS[1])

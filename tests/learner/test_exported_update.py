@@ -21,6 +21,8 @@ from kinetix_dist.learner.update import CACHE, Update, exported_update, make_upd
 from tests.helpers import compile_cache
 from tests.learner.update_program import PPO, make_problem, place, poisoned
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture
 def cache(tmp_path: Path) -> Iterator[Path]:
@@ -61,7 +63,6 @@ def assert_same_bits(found: Any, expected: Any) -> None:
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.long
 def test_two_updates_are_those_of_the_traced_program_bit_for_bit(cache: Path, mesh: Mesh) -> None:
     update, state, arguments = make_problem(mesh)
     program, own, _ = make_problem(mesh, make=exported_update)
@@ -73,7 +74,6 @@ def test_two_updates_are_those_of_the_traced_program_bit_for_bit(cache: Path, me
     assert len(list(cache.iterdir())) == 1
 
 
-@pytest.mark.long
 def test_it_is_traced_once_and_read_by_the_next_process(cache: Path, mesh: Mesh, traced: list[int]) -> None:
     first = as_another_process(mesh)
     (file,) = cache.iterdir()
@@ -86,7 +86,6 @@ def test_it_is_traced_once_and_read_by_the_next_process(cache: Path, mesh: Mesh,
     assert file.read_bytes() == content
 
 
-@pytest.mark.long
 def test_what_changes_an_update_makes_another_program(
     cache: Path, mesh: Mesh, traced: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,6 +19,8 @@ from kinetix_dist.level.generator_program import draw_levels
 from kinetix_dist.level.level import SIZES, Level
 from tests.helpers import compile_cache
 
+pytestmark = pytest.mark.long
+
 CONFIG = GeneratorConfig(mechanism_share=0.5, mechanism_families=("arm",), varied_share=0.5)
 CAPACITY = SIZES["s"]
 KEY = jax.random.key(7)
@@ -46,7 +48,6 @@ def test_exported_levels_are_those_of_the_generator(number: int) -> None:
     assert_same_levels(levels, generate_levels(KEY, number, CAPACITY, CONFIG))
 
 
-@pytest.mark.long
 def test_it_is_traced_once_where_devices_share_worlds_and_read_by_the_next_process(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -76,7 +77,6 @@ def test_it_is_traced_once_where_devices_share_worlds_and_read_by_the_next_proce
     assert len(traced) == 2 and file.read_bytes() == content
 
 
-@pytest.mark.long
 def test_another_generator_is_another_program(cache: Path) -> None:
     keys = level_keys(KEY, 2)
     draw_levels(keys, CAPACITY, GeneratorConfig())
@@ -84,7 +84,6 @@ def test_another_generator_is_another_program(cache: Path) -> None:
     assert len(list(cache.iterdir())) == 2
 
 
-@pytest.mark.long
 def test_another_setting_of_jax_is_another_program_that_draws_the_same_levels(cache: Path) -> None:
     """A context manager may set it, too: the program is traced in a thread, which does not inherit that."""
     keys, config = level_keys(KEY, 4), GeneratorConfig()

@@ -736,6 +736,7 @@ def test_families_for_which_there_is_room_are_equally_likely() -> None:
         assert abs(share.mean() - 0.25) < 0.08, family  # four standard errors of 512 draws
 
 
+@pytest.mark.long
 def test_a_share_of_the_levels_has_mechanisms_and_the_others_are_as_without() -> None:
     mixed = generate_levels(jax.random.key(9), NUM_LEVELS, SIZES["m"], GeneratorConfig(mechanism_share=0.3))
     plain = generate_levels(jax.random.key(9), NUM_LEVELS, SIZES["m"], GeneratorConfig())

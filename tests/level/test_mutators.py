@@ -98,6 +98,7 @@ def test_a_full_level_takes_no_more_and_an_empty_one_loses_nothing():
         np.testing.assert_array_equal(level.scene.shapes.active, none.scene.shapes.active)
 
 
+@pytest.mark.long
 def test_the_same_key_makes_the_same_changes():
     level = jax.tree.map(lambda x: x[0], generated())
     one, _ = mutate(jax.random.key(1), level, CAPACITY, CONFIG, num_changes=4)

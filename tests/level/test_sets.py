@@ -134,7 +134,7 @@ def test_wrong_names_are_refused_in_one_line(tmp_path: Path) -> None:
         match=r"unknown level set 'nosuch'; sets are designed_s.*dev_random_l, frontier_s, frontier_m, or give",
     ):
         load_level_set("nosuch")
-    for path in ("nosuch.json", "no/such"):
+    for path in ("nosuch.json", "/no/such"):
         with pytest.raises(FileNotFoundError, match=f"there is no level file or directory {path}"):
             load_level_set(path)
     with pytest.raises(ValueError, match="unknown size 'xl'; sizes are s, m, l"):

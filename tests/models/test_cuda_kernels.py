@@ -26,6 +26,8 @@ from kinetix_dist.models.norms import NORM_EPSILON
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 from tests.models import cuda_on_cpu
 
+pytestmark = pytest.mark.long
+
 E = support.WIDTH
 MASKS, HEADS = 4, (4, 2)
 # Tokens of a world, ends of its joints, thrusters.
@@ -33,7 +35,6 @@ COUNTS = {
     size: (capacity.polygons + capacity.circles + 1, 2 * capacity.joints, capacity.thrusters)
     for size, capacity in SIZES.items()
 }
-SMALL_FIRST = ["s", *(pytest.param(size, marks=pytest.mark.long) for size in ("m", "l"))]
 
 
 @pytest.fixture(params=["on a CPU", pytest.param("on a GPU", marks=pytest.mark.gpu)])
@@ -162,7 +163,7 @@ def test_feed_forward(place, rows):
     assert_same_again(place, found, run)
 
 
-@pytest.mark.parametrize("size", SMALL_FIRST)
+@pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("worlds", [1, 21])
 def test_attention(place, size, worlds):
     tokens, worlds = COUNTS[size][0], worlds if place == "on a CPU" else worlds * 500
@@ -200,7 +201,7 @@ def test_attention(place, size, worlds):
     assert_same_again(place, found, run)
 
 
-@pytest.mark.parametrize("size", SMALL_FIRST)
+@pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("worlds", [1, 37])
 def test_messages(place, size, worlds):
     (tokens, joints, thrusters), worlds = COUNTS[size], worlds if place == "on a CPU" else worlds * 500

@@ -15,6 +15,8 @@ from kinetix_dist.level.vectors import overlaps_at_start
 from kinetix_dist.models.level_vae import VaeConfig, fit
 from tests.level.valid import assert_valid
 
+pytestmark = pytest.mark.long
+
 OPTIMISED = True  # trains for thousands of steps: see tests/conftest.py
 
 CAPACITY, CONFIG = SIZES["s"], GeneratorConfig()
@@ -49,7 +51,6 @@ def model():
     return fit(drawn()[0], jax.random.key(1), CAPACITY, CONFIG, VaeConfig(num_steps=2500))
 
 
-@pytest.mark.long
 def test_its_loss_falls():
     _, losses = model()
     assert np.isfinite(losses).all() and losses[-100:].mean() < 0.1 * losses[0]

@@ -239,6 +239,7 @@ def test_first_policy_is_nearly_uniform():
     assert max(float(jnp.max(jnp.abs(head))) for head in logits) < 0.1
 
 
+@pytest.mark.long
 def test_nothing_moves_what_is_the_same_for_all_keys(small):
     """Softmax ignores it (the formula above has it). The rounding of a gradient that should be zero let it grow."""
     policy, params, obs = small

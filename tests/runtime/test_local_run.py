@@ -66,6 +66,7 @@ def test_a_buffer_requested_at_update_k_is_used_from_k_plus_adopt_after_on(eight
     assert all(row["runtime/policy_lag"] == 0 for row in rows)
 
 
+@pytest.mark.long
 @pytest.mark.also_gpu
 def test_a_worker_that_scores_levels_itself_gives_the_run_that_a_curator_gives(eight_updates, tmp_path):
     config, backend, reporter = tiny_config(num_updates=8, num_curators=0), LocalBackend(), QuietReporter()

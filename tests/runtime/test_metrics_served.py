@@ -5,12 +5,15 @@ import threading
 import time
 
 import psutil
+import pytest
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.telemetry.sinks.jsonl import read_jsonl
 from tests.helpers import free_port
 from tests.runtime.conftest import NUM_UPDATES, tiny_options
 from tests.telemetry.test_prometheus import scrape
+
+pytestmark = pytest.mark.long
 
 
 def test_a_run_is_scraped_while_it_goes_on(tmp_path):

@@ -12,6 +12,8 @@ from kinetix_dist.runtime.processes.placement import PlacementError, check_devic
 from tests.helpers import REPOSITORY, environment_of_cpus
 from tests.runtime.runs import tiny_config
 
+pytestmark = pytest.mark.long
+
 PROGRAM = REPOSITORY / "tests" / "runtime" / "devices_program.py"
 
 
@@ -31,7 +33,6 @@ def by_count(request, tmp_path_factory):
     }
 
 
-@pytest.mark.long
 def test_seven_devices_play_the_worlds_of_one(by_count):
     """Levels and actions to the bit, of eight groups."""
     found, expected = by_count[7], by_count[1]

@@ -171,6 +171,7 @@ def test_a_run_in_processes_of_ray_killed_at_a_change_and_resumed_equals_the_loc
 # Starting from a checkpoint of the run
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unbroken", ["local"], indirect=True)
 def test_a_new_run_takes_parameters_and_optimiser_of_a_checkpoint_and_keeps_its_lineage(unbroken, tmp_path):
     config, path, _, _ = unbroken

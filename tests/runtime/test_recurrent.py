@@ -21,6 +21,8 @@ from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import plan_placement
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
 
+pytestmark = pytest.mark.long
+
 KICK = "s/kick"
 KERNEL = "learner/params/params/gru/memory_kernel"
 

@@ -18,6 +18,8 @@ from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.cores.worker import Worker
 
+pytestmark = pytest.mark.long
+
 NETWORK_OF = {"entity": "transformer", "entity_kinetix": "transformer_kinetix", "flat": "flat", "pixels": "cnn"}
 # Entropy of the first policy, nearly: of six uniform choices, of one of eleven, of six truncated normals whose spread
 # is half of half the range (scipy.stats.truncnorm), four of them on a range of 2 and two on a range of 1.
@@ -26,10 +28,9 @@ FIRST_ENTROPY = {
     "discrete": math.log(11),
     "continuous": 6 * 0.5661 - 2 * math.log(2),
 }
-# Others are slow.
-MARKS = {("entity", "continuous"): [], ("flat", "discrete"): [], ("pixels", "multi_discrete"): pytest.mark.long}
+PLAIN = {("entity", "continuous"), ("flat", "discrete"), ("pixels", "multi_discrete")}
 COMBINATIONS = [
-    pytest.param(observation, space, marks=MARKS.get((observation, space), pytest.mark.slow))
+    pytest.param(observation, space, marks=[] if (observation, space) in PLAIN else pytest.mark.slow)
     for observation in NETWORK_OF
     for space in ACTION_SPACES
 ]
