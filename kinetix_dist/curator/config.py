@@ -113,7 +113,7 @@ class CurriculumConfig:
     """Defaults are those of the paper's SFL. Each curriculum reads some of the fields."""
 
     name: str = "sfl"  # "sfl", "sfl_slices", "plr", "robust_plr", "accel", "paired", "domain_randomization" or "fixed"
-    levels: str = ""  # for "fixed": the level set to train on, a name or a path
+    levels: str = ""  # level set to train on, a name or a path; for "fixed", and yours that take levels
     num_candidates: int = setting(12288, minimum=1)  # N, fresh levels scored in a refresh
     scoring_steps: int = setting(512, minimum=1)  # L, environment steps played on each candidate
     scoring_batch: int = setting(4096, minimum=1)  # candidates scored at once, bounds memory

@@ -169,5 +169,6 @@ def _slots(active: np.ndarray, room: int, kind: str) -> np.ndarray:
         return np.arange(len(active))
     used = np.flatnonzero(active)
     if len(used) > room:
-        raise LevelSizeError(f"level has {len(used)} {kind}, walls included; the size has room for {room}")
+        has = f"level has {len(used)} {kind}, walls included; the size has room for {room}"
+        raise LevelSizeError(f"{has}: take a larger one (env.size)")
     return used
