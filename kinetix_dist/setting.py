@@ -14,8 +14,6 @@ import numbers
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
-from jax2d.whole_numbers import whole_number
-
 T = TypeVar("T")
 _KEY = "limits"
 
@@ -82,6 +80,8 @@ def check_settings(section: Any) -> None:
 def _check_type(name: str, value: Any, kind: str) -> None:
     """kind: the annotation as it is written; other types than int, float and bool are not looked at."""
     if kind == "int":
+        from jax2d.whole_numbers import whole_number  # loads JAX, which readers of run directories do without
+
         try:
             whole_number(name, value)
         except ValueError as error:

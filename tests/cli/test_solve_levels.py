@@ -34,6 +34,7 @@ def level_file(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.long
 def test_what_is_found_is_stored_beside_the_level_and_checked(
     level_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -54,6 +54,7 @@ def test_nothing_is_compiled_for_another_level(specialists: dict[str, Specialist
     assert [specialist.compile_seconds for specialist in specialists.values()] == [0.0] * len(specialists)
 
 
+@pytest.mark.long
 def test_specialists_differ_by_their_level_and_by_nothing_before_them(specialists: dict[str, Specialist]) -> None:
     first, second = (specialists[name] for name in NAMES)
     again = specialists["again"]

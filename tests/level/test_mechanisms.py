@@ -85,6 +85,7 @@ def test_every_level_is_valid_and_nothing_overlaps_that_may_touch(size: str, fam
     assert is_passive.any() == with_passive
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "family", ["car", "unicycle", "walker", "runner", "sprinter", "snake", "cartpole", "pusher", "carrier"]
 )
@@ -502,6 +503,7 @@ def test_the_motors_of_a_key_are_those_they_were(family: str, speeds: float, pow
     np.testing.assert_allclose(found, [speeds, powers, colours], atol=2e-3)
 
 
+@pytest.mark.long
 def test_families_are_drawn_as_often_as_their_weights_say() -> None:
     """Green is a disc in no car, a box in no arm of this size (one link of a box), and unicycles have one wheel."""
     families = ("unicycle", "arm")

@@ -94,6 +94,7 @@ def test_one_set_of_weights_plays_all_sizes_and_sees_the_same_level_alike(observ
 TRAINABLE = [name for name in ACTION_SPACES if ACTION_SPACES[name].distribution is not None]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", TRAINABLE)
 def test_a_network_has_the_outputs_of_the_action_space(name: str) -> None:
     """All heads at once: sizes, and actions drawn from them that the space takes."""

@@ -93,6 +93,7 @@ class _NotingTrainer(ColocatedTrainer):
         return super().refresh(weights, policy_version, probe, given)
 
 
+@pytest.mark.long
 def test_workers_score_levels_when_they_are_due_so_that_a_resumed_run_makes_an_update_first(eight_updates, tmp_path):
     done = []
     for num_updates in (4, 8):  # the refresh requested at 3 is in flight between them

@@ -195,6 +195,7 @@ def test_a_new_run_takes_parameters_and_optimiser_of_a_checkpoint_and_keeps_its_
     assert [one["num_updates"] for one in lineage_from(saved)] == [NUM_UPDATES, 1]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("unbroken", ["local"], indirect=True)
 def test_what_makes_another_policy_of_the_same_parameters_is_said(unbroken):
     config, path, _, _ = unbroken
