@@ -15,8 +15,9 @@ COLOCATED = [*TINY, "--run.placement", "colocated"]
 
 def _the_line(process, status: int = 1) -> str:
     """Last line of a command; fails where there is more than one, or another exit status."""
-    _, errors = process.communicate(timeout=300)
+    output, errors = process.communicate(timeout=300)
     assert process.returncode == status, errors
+    assert "raylet" not in output  # Ray's own advice on lost processes
     assert "Traceback" not in errors
     line = errors.strip().splitlines()[-1]
     assert line.startswith("kinetix-dist: "), errors

@@ -131,6 +131,7 @@ def test_with_processes_on_ray_a_signal_to_all_ends_the_run_in_order(tmp_path, r
     family = psutil.Process(process.pid).children(recursive=True)
     servers = [child for child in family if child.name() in SERVERS]
     assert len(servers) == 2
+    assert os.getpgid(process.pid) not in {os.getpgid(server.pid) for server in servers}
     if reaches == "the servers of Ray as well":
         for server in servers:
             server.terminate()
