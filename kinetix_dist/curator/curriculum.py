@@ -34,6 +34,7 @@ from jax2d.scene import Array, Capacity
 from kinetix_dist.curator.agents import Agents
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.fresh_levels import fresh_levels
+from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.mutators import mutate
 from kinetix_dist.messages import LevelOutcome, Trajectory
@@ -56,7 +57,7 @@ class CurriculumTools:
     """Parts that curricula are built from: levels of the run and ways to play them."""
 
     config: CurriculumConfig
-    capacity: Capacity
+    env: Environment  # of the run
     worlds_per_group: int
     max_steps: int  # environment steps in which every episode has ended
     solves_itself: Callable[[Level], Array]  # [W, ...] -> [W] bool, solved without any action
@@ -65,6 +66,11 @@ class CurriculumTools:
     advantages: Callable[[Trajectory, Array], Array]  # (trajectory, last values) -> [T, W], the learner's
     agents: Agents  # that learn next to the policy
     devices: Sequence[Any] = dataclasses.field(default_factory=jax.local_devices)  # for `refresh`, of this process
+
+    @property
+    def capacity(self) -> Capacity:
+        """Sizes of the levels of the run."""
+        return self.env.capacity
 
     def draw_fresh(self, group_keys: Array, levels_per_group: int) -> Level:
         """[groups * levels_per_group] random levels, group by group, without those that solve themselves."""
