@@ -20,10 +20,9 @@ import numpy as np
 
 from jax2d.scene import Array
 from kinetix_dist.curator.config import BackwardConfig
+from kinetix_dist.curator.replay_buffer import NEVER
 from kinetix_dist.env.held_actions import STATE_NUMBERS, starting_from
 from kinetix_dist.level.level import Level
-
-NEVER = -1  # `born` of a slot without a level
 
 
 @jax.tree_util.register_dataclass
@@ -44,7 +43,6 @@ class ProofBank:
 
     levels: Level  # [M, ...]
     states: Array  # [M, S, n, 6] float32
-    num_steps: Array  # [M] int32
     born: Array  # [M] int32, policy version whose refresh brought the level, NEVER without one
     stage: Array  # [M] int32, 1..S
     num_plays: Array  # [M] int32, of this stage since it was last judged
@@ -66,7 +64,6 @@ def empty_bank(level: Level, config: BackwardConfig) -> ProofBank:
     return ProofBank(
         levels=jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *jnp.shape(x))), level),
         states=jnp.zeros((size, config.num_stages, num_shapes, STATE_NUMBERS), jnp.float32),
-        num_steps=count,
         born=count + NEVER,
         stage=count + 1,
         num_plays=count,
@@ -128,7 +125,6 @@ def with_proofs(bank: ProofBank, proofs: Proofs, policy_version: int) -> ProofBa
         bank,
         levels=jax.tree.map(put, bank.levels, proofs.levels),
         states=put(bank.states, proofs.states),
-        num_steps=put(bank.num_steps, proofs.num_steps),
         born=put(bank.born, np.int32(policy_version)),
         stage=put(bank.stage, np.int32(1)),
         num_plays=put(bank.num_plays, np.int32(0)),

@@ -26,7 +26,7 @@ import numpy as np
 from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.checkpoint import select_arrays
-from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer
+from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer, num_of_share
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import CurriculumTools, Proposal
 from kinetix_dist.curator.level_buffer import LevelBuffer
@@ -287,13 +287,7 @@ class SflBackward(Sfl):
 
 def _num_searched(config: CurriculumConfig, worlds_per_group: int) -> int:
     """Worlds of a group that play levels of the bank. Raises ValueError where that is not a whole number."""
-    exact = config.backward.share * worlds_per_group
-    if abs(exact - round(exact)) > 1e-6:
-        raise ValueError(
-            f"curriculum.backward.share {config.backward.share} of {worlds_per_group} worlds a group is {exact:g}, no "
-            "whole number; change it or the number of environments"
-        )
-    return round(exact)
+    return num_of_share("backward.share", config.backward.share, worlds_per_group)
 
 
 def _with_solutions(search: Search, level: np.ndarray, episode: np.ndarray, after: np.ndarray) -> Search:

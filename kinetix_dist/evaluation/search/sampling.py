@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from kinetix_dist import prng
+from kinetix_dist.env.held_actions import MAX_HOLD, MIN_HOLD
 from kinetix_dist.evaluation.policies import Player
 from kinetix_dist.evaluation.recordings import play_policy
 from kinetix_dist.evaluation.search.polish import padded, variant
 from kinetix_dist.evaluation.search.worlds import Budget, Worlds, solutions
-
-MIN_HOLD, MAX_HOLD = 2, 64  # environment steps; how long a world holds its actions on average is drawn between them
 
 
 def random_search(worlds: Worlds, rng: np.random.Generator, budget: Budget) -> list[np.ndarray]:
