@@ -35,6 +35,7 @@ class StaticInput:
 
     obs: Any  # [W, ...], see `Observation.static`
     bound_heads: Array | None = None  # [W, heads] bool, see `ActionSpace.bound_heads`; None: all heads count
+    is_shown: Array | None = None  # [W] bool, actions are a demonstration's, to be imitated; None: all are the policy's
 
 
 @jax.tree_util.register_dataclass

@@ -21,6 +21,7 @@ from kinetix_dist import prng
 from kinetix_dist.actors import invariants
 from kinetix_dist.actors.outcomes import add_step, no_outcomes
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.held_actions import Demonstrations, held_actions
 from kinetix_dist.env.records import EnvState, PreparedLevels
 from kinetix_dist.messages import LevelOutcome, Trajectory
 from kinetix_dist.models.gru import act, initial_memory, reset_memory
@@ -34,6 +35,7 @@ class Worlds(NamedTuple):
     obs: Any  # [W, ...], as `env.reset` or the last unroll gave it
     numbers: Array | None = None  # [W] of these worlds in the whole batch; None: from 0 on
     bound_heads: Array | None = None  # [W, dimensions] bool, those whose log-probability counts; None: all
+    demonstrations: Demonstrations | None = None  # [W], worlds where they act instead of the policy
 
 
 class Played(NamedTuple):
@@ -67,15 +69,23 @@ def unroll(
     num_worlds = _num_worlds(worlds.obs)
     world_keys = keys_of_worlds(key, jnp.arange(num_worlds) if worlds.numbers is None else worlds.numbers)
 
+    shown = worlds.demonstrations
+    shown_keys = None if shown is None else prng.wrap_key_data(shown.keys)
+
     @jax.jit  # traced once for the steps and for the value behind the last one
     def play(params: Any, obs: Any, memory: Array | None) -> tuple[Any, Array, Array | None]:
         return act(policy, params, obs, memory)
 
     def step(carry: tuple, number: Array) -> tuple[tuple, Trajectory]:
-        env_state, obs, memory, outcome = carry
+        env_state, obs, memory, outcome, held = carry
         outputs, value, memory = play(params, env.observe(prepared, obs), memory)
         uniforms = _uniforms(world_keys, number, distribution.num_uniforms)
         actions, log_prob = distribution.sample(outputs, uniforms, **counted)
+        if shown is not None:
+            held = held_actions(env, shown_keys, env_state.num_steps, held)
+            is_shown = shown.is_shown.reshape(-1, *[1] * (actions.ndim - 1))
+            actions = jnp.where(is_shown, held.astype(actions.dtype), actions)
+            log_prob, _ = distribution.log_prob_and_entropy(outputs, actions, **counted)
         env_state, next_obs, reward, done, info = env.step(prepared, env_state, actions)
         taken = Trajectory(
             dynamic_obs=jax.tree.map(_world_by_world, obs),
@@ -86,10 +96,11 @@ def unroll(
             done_after=done,
             timed_out=info.timed_out if keep_timeouts else None,
         )
-        return (env_state, next_obs, reset_memory(memory, done), add_step(outcome, done, info)), taken
+        return (env_state, next_obs, reset_memory(memory, done), add_step(outcome, done, info), held), taken
 
-    carry = (worlds.env_state, worlds.obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
-    (env_state, obs, memory, outcome), trajectory = invariants.scan(
+    held = None if shown is None else env.action_space.noop_actions(num_worlds)
+    carry = (worlds.env_state, worlds.obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds), held)
+    (env_state, obs, memory, outcome, _), trajectory = invariants.scan(
         step, carry, jnp.arange(num_steps, dtype=jnp.uint32)
     )
     _, last_value, _ = play(params, env.observe(prepared, obs), memory)

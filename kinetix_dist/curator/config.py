@@ -113,6 +113,7 @@ class BackwardConfig:
     """Search for solutions of levels that the policy never solves, and the stages in which they are taught."""
 
     share: float = setting(0.25, minimum=0, maximum=1)  # of the worlds of a group, which play levels with a solution
+    shown_share: float = setting(0.0, minimum=0, maximum=1)  # which their solutions play, for the policy to imitate
     num_levels: int = setting(2048, minimum=1)  # with a solution that are stored
     num_stages: int = setting(8, minimum=1)  # from the end of a solution to the true start
     num_searched: int = setting(256, minimum=1)  # candidates of a scoring batch, at most, that a refresh searches

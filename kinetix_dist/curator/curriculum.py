@@ -35,6 +35,7 @@ from kinetix_dist.curator.agents import Agents
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.fresh_levels import fresh_levels
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.held_actions import Demonstrations
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.mutators import mutate
 from kinetix_dist.messages import LevelOutcome, Trajectory
@@ -50,6 +51,7 @@ class Proposal:
     # [W] int32, for the counts of outcomes.jsonl: an index into `Curriculum.sources`, or their number + a slot of the
     # buffer (`num_slots`). None: all are of the first source.
     source: Array | None = None
+    demonstrations: Demonstrations | None = None  # [W], worlds that the policy imitates and does not play
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

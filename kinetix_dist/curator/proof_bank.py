@@ -33,6 +33,7 @@ class Proofs:
     candidate: Array  # [N] int32, number of the level among the candidates of its refresh
     levels: Level  # [N, ...]
     states: Array  # [N, S, n, 6] float32, the starts of the stages, see `held_actions.STATE_NUMBERS`
+    keys: Array  # [N, 2] uint32, data of the key of the episode of held actions that is the solution
     num_steps: Array  # [N] int32, environment steps of the solution
 
 
@@ -43,6 +44,7 @@ class ProofBank:
 
     levels: Level  # [M, ...]
     states: Array  # [M, S, n, 6] float32
+    keys: Array  # [M, 2] uint32, of the solution
     born: Array  # [M] int32, policy version whose refresh brought the level, NEVER without one
     stage: Array  # [M] int32, 1..S
     num_plays: Array  # [M] int32, of this stage since it was last judged
@@ -64,6 +66,7 @@ def empty_bank(level: Level, config: BackwardConfig) -> ProofBank:
     return ProofBank(
         levels=jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *jnp.shape(x))), level),
         states=jnp.zeros((size, config.num_stages, num_shapes, STATE_NUMBERS), jnp.float32),
+        keys=jnp.zeros((size, 2), jnp.uint32),
         born=count + NEVER,
         stage=count + 1,
         num_plays=count,
@@ -125,6 +128,7 @@ def with_proofs(bank: ProofBank, proofs: Proofs, policy_version: int) -> ProofBa
         bank,
         levels=jax.tree.map(put, bank.levels, proofs.levels),
         states=put(bank.states, proofs.states),
+        keys=put(bank.keys, proofs.keys),
         born=put(bank.born, np.int32(policy_version)),
         stage=put(bank.stage, np.int32(1)),
         num_plays=put(bank.num_plays, np.int32(0)),

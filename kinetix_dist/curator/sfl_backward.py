@@ -3,7 +3,8 @@
     refresh   candidates are scored as in `sfl.py`. Some of those that the policy never solved are searched with random
               held actions (`env/held_actions.py`); the solved ones are played again, for the states on their way
     propose   of each group, `buffer_share` of the worlds play the buffer of SFL, `backward.share` levels of the bank
-              from their stages on, the others fresh levels
+              from their stages on, the others fresh levels. In `backward.shown_share` the solutions of levels of the
+              bank act, from the true start on; the policy imitates them
     observe   stages follow one another as they are solved (`proof_bank.py`)
 
 p (1 - p) chooses among what the policy solves sometimes; of what it never solves it says nothing. There, chance knows
@@ -41,7 +42,7 @@ from kinetix_dist.curator.proof_bank import (
     with_proofs,
 )
 from kinetix_dist.curator.sfl import Probe, ScoredBatches, Sfl
-from kinetix_dist.env.held_actions import episode_keys, solved_after, states_on_the_way
+from kinetix_dist.env.held_actions import Demonstrations, episode_keys, solved_after, states_on_the_way
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.walls import empty_level
 from kinetix_dist.messages import LevelOutcome
@@ -85,7 +86,7 @@ class SflBackward(Sfl):
 
     observes = True
     sections = ("backward",)
-    sources = ("fresh", "searched")
+    sources = ("fresh", "searched", "shown")
 
     def __init__(self, tools: CurriculumTools) -> None:
         super().__init__(tools)
@@ -96,11 +97,13 @@ class SflBackward(Sfl):
     @classmethod
     def check(cls, config: CurriculumConfig, worlds_per_group: int) -> None:
         super().check(config, worlds_per_group)
-        num_searched = _num_searched(config, worlds_per_group)
-        if num_searched + num_from_buffer(config, worlds_per_group) > worlds_per_group:
+        num_of_bank = _num_searched(config, worlds_per_group) + _num_shown(config, worlds_per_group)
+        if num_of_bank + num_from_buffer(config, worlds_per_group) > worlds_per_group:
+            backward = config.backward
             raise ValueError(
-                f"curriculum.buffer_share {config.buffer_share} and curriculum.backward.share {config.backward.share} "
-                "are more than all worlds together; lower one of them"
+                f"curriculum.buffer_share {config.buffer_share}, curriculum.backward.share {backward.share} and "
+                f"curriculum.backward.shown_share {backward.shown_share} are more than all worlds together; lower one "
+                "of them"
             )
         if config.backward.num_searched > config.scoring_batch:
             raise ValueError(
@@ -110,7 +113,8 @@ class SflBackward(Sfl):
 
     @classmethod
     def num_fresh(cls, config: CurriculumConfig, worlds_per_group: int) -> int:
-        return super().num_fresh(config, worlds_per_group) - _num_searched(config, worlds_per_group)
+        num_of_bank = _num_searched(config, worlds_per_group) + _num_shown(config, worlds_per_group)
+        return super().num_fresh(config, worlds_per_group) - num_of_bank
 
     def init(self) -> BackwardState:
         level = jax.tree.map(jnp.asarray, empty_level(self.tools.capacity))
@@ -124,31 +128,41 @@ class SflBackward(Sfl):
         """
         base = super().propose(None if state is None else state.buffer, group_keys, groups)
         assert state is not None
-        num_groups = group_keys.shape[0]
-        num_searched = _num_searched(self.tools.config, self.tools.worlds_per_group)
+        config, size = self.tools.config, self.tools.worlds_per_group
+        num_groups, num_searched, num_shown = group_keys.shape[0], _num_searched(config, size), _num_shown(config, size)
         levels, source = by_group((base.levels, base.source), num_groups)
         bank = state.bank
         log_chances = jnp.log(bank.is_filled.astype(jnp.float32))
 
         def draw(key: Array) -> Array:
-            return prng.categorical(prng.fold_in(key, _BANK), log_chances, shape=(num_searched,))
+            return prng.categorical(prng.fold_in(key, _BANK), log_chances, shape=(num_searched + num_shown,))
 
         slot = jax.vmap(draw)(group_keys).astype(jnp.int32)
-        stage, born, is_empty = bank.stage[slot], bank.born[slot], ~bank.is_filled.any()
-        repeated = jnp.arange(num_searched) % source.shape[1]
+        is_shown = jnp.broadcast_to(jnp.arange(num_searched + num_shown) >= num_searched, slot.shape)
+        stage = jnp.where(is_shown, config.backward.num_stages, bank.stage[slot])
+        is_empty = ~bank.is_filled.any()
+        born = jnp.where(is_shown, NEVER, bank.born[slot])  # what a solution solves says nothing of the policy
+        repeated = jnp.arange(num_searched + num_shown) % source.shape[1]
         taught = jax.tree.map(
             lambda new, old: jnp.where(is_empty, old[:, repeated], new), levels_of(bank, slot, stage), levels
         )
-        taught_from = jnp.where(is_empty, source[:, repeated], self.sources.index("searched"))
+        from_bank = jnp.where(is_shown, self.sources.index("shown"), self.sources.index("searched"))
+        taught_from = jnp.where(is_empty, source[:, repeated], from_bank)
         nothing = jnp.zeros(source.shape, jnp.int32)
         tags = (
             {"slot": nothing, "born": nothing + NEVER, "stage": nothing},
             {"slot": slot, "born": born, "stage": stage},
         )
+        demonstrations = None
+        if num_shown:
+            none = Demonstrations(keys=jnp.zeros((*source.shape, 2), jnp.uint32), is_shown=nothing.astype(bool))
+            of_bank = Demonstrations(keys=bank.keys[slot], is_shown=is_shown & ~is_empty)
+            demonstrations = join_by_group(none, of_bank)
         return Proposal(
             levels=join_by_group(levels, taught),
             tags=join_by_group(*tags),
             source=join_by_group(source, taught_from),
+            demonstrations=demonstrations,
         )
 
     def observe(self, state: BackwardState, proposal: Proposal, outcome: LevelOutcome) -> BackwardState:
@@ -259,17 +273,21 @@ class SflBackward(Sfl):
         is_proof = (search.episode >= 0) & (after[: len(search.number)] == search.num_steps)
         index = np.flatnonzero(is_proof)
         levels = jax.tree.map(lambda x: np.asarray(x)[index], jax.device_get(search.levels))
+        keys = episode_keys(search.key, jnp.asarray(level), jnp.asarray(given[1]))
         return Proofs(
             candidate=search.number[index].astype(np.int32),
             levels=levels,
             states=states[index],
+            keys=np.asarray(prng.key_data(keys))[index],
             num_steps=search.num_steps[index],
         )
 
     def _no_proofs(self) -> Proofs:
         bank = jax.eval_shape(self.init).bank
-        none = jax.tree.map(lambda x: np.zeros((0, *x.shape[1:]), x.dtype), (bank.levels, bank.states))
-        return Proofs(candidate=np.zeros(0, np.int32), levels=none[0], states=none[1], num_steps=np.zeros(0, np.int32))
+        of_bank = bank.levels, bank.states, bank.keys
+        levels, states, keys = jax.tree.map(lambda x: np.zeros((0, *x.shape[1:]), x.dtype), of_bank)
+        none = np.zeros(0, np.int32)
+        return Proofs(candidate=none, levels=levels, states=states, keys=keys, num_steps=none)
 
     def _search_round(self, levels: Level, key: Array, level: Array, episode: Array) -> Array:
         """[W] int32, steps after which episodes [W] solve levels [W] of a batch, 0 where they do not."""
@@ -288,6 +306,11 @@ class SflBackward(Sfl):
 def _num_searched(config: CurriculumConfig, worlds_per_group: int) -> int:
     """Worlds of a group that play levels of the bank. Raises ValueError where that is not a whole number."""
     return num_of_share("backward.share", config.backward.share, worlds_per_group)
+
+
+def _num_shown(config: CurriculumConfig, worlds_per_group: int) -> int:
+    """Worlds of a group that solutions of the bank play. Raises ValueError where that is not a whole number."""
+    return num_of_share("backward.shown_share", config.backward.shown_share, worlds_per_group)
 
 
 def _with_solutions(search: Search, level: np.ndarray, episode: np.ndarray, after: np.ndarray) -> Search:

@@ -4,6 +4,7 @@
     after = solved_after(env, levels, keys)                        [W] steps, 0 where a level is not solved
     after, states = states_on_the_way(env, levels, keys, times)    the same episodes again
     starting_from(levels, states)                                  levels that begin on the way
+    held_actions(env, keys, numbers, before)                       what an episode does at a step, for a rollout
 
 An episode is no more than its key: the same key draws the same actions, so that none are stored. Actions change at
 random moments, in some episodes often and in some seldom: what needs a motor to run for a second is out of reach of
@@ -29,6 +30,15 @@ MIN_HOLD, MAX_HOLD = 2, 64  # environment steps; how long an episode holds its a
 STATE_NUMBERS = 6  # of a shape: x, y (m), angle (rad), their velocities (m/s, rad/s)
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Demonstrations:
+    """Worlds that episodes of held actions play, and not the policy."""
+
+    keys: Array  # [W, 2] uint32, data of the keys of episodes
+    is_shown: Array  # [W] bool, whether the episode is played
+
+
 def episode_keys(key: Array, levels: Array, episodes: Array) -> Array:
     """[W] typed keys of episodes, by the number of their level [W] and their own number [W]."""
 
@@ -36,6 +46,18 @@ def episode_keys(key: Array, levels: Array, episodes: Array) -> Array:
         return prng.fold_in(prng.fold_in(key, level), episode)
 
     return jax.vmap(one)(levels.astype(jnp.uint32), episodes.astype(jnp.uint32))
+
+
+def held_actions(env: Environment, keys: Array, numbers: Array, before: Array) -> Array:
+    """[W, ...] actions of episodes `keys` [W] at their steps `numbers` [W]; before: those of the step before."""
+
+    def draw(key: Array, number: Array) -> tuple[Array, Array]:
+        hold = jnp.exp(prng.uniform(key, (), np.log(MIN_HOLD), np.log(MAX_HOLD)))
+        first, second = prng.split(prng.fold_in(key, number))
+        return (prng.uniform(first) < 1.0 / hold) | (number == 0), env.action_space.sample(second, 1)[0]
+
+    changes, drawn = jax.vmap(draw)(keys, numbers.astype(jnp.uint32))
+    return jnp.where(changes.reshape(-1, *[1] * (drawn.ndim - 1)), drawn, before)
 
 
 def solved_after(env: Environment, levels: Level, keys: Array) -> Array:
@@ -66,23 +88,12 @@ def _play(env: Environment, levels: Level, keys: Array, times: Array | None) -> 
     env_state, _ = env.reset(prepared)
     num_worlds = keys.shape[0]
 
-    def hold(key: Array) -> Array:
-        return jnp.exp(prng.uniform(key, (), np.log(MIN_HOLD), np.log(MAX_HOLD)))
-
-    def draw(key: Array) -> tuple[Array, Array]:
-        first, second = prng.split(key)
-        return prng.uniform(first), env.action_space.sample(second, 1)[0]
-
-    chance_of_change = 1.0 / jax.vmap(hold)(keys)
-
     def step(carry: tuple, number: Array) -> tuple[tuple, None]:
         env_state, actions, is_over, after, states = carry
         if states is not None:
             is_now = (times == number) & ~is_over[:, None]
             states = jnp.where(is_now[..., None, None], _state_of(env, env_state)[:, None], states)
-        uniform, drawn = jax.vmap(lambda key: draw(prng.fold_in(key, number)))(keys)
-        changes = (uniform < chance_of_change) | (number == 0)
-        actions = jnp.where(changes.reshape(num_worlds, *[1] * (drawn.ndim - 1)), drawn, actions)
+        actions = held_actions(env, keys, jnp.broadcast_to(number, num_worlds), actions)
         env_state, _, _, done, info = env.transition(prepared, env_state, actions)
         after = jnp.where(info.solved & ~is_over, number.astype(jnp.int32) + 1, after)
         return (env_state, actions, is_over | done, after, states), None

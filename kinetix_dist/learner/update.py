@@ -164,6 +164,8 @@ def _update(
     num_steps, num_worlds = trajectory.rewards.shape
     num_samples = num_steps * _num_worlds(division, num_worlds * division.num_devices)  # of all devices
     advantages = advantages_of(trajectory, last_value, config)
+    if static.is_shown is not None:  # a demonstration says nothing of what the policy is worth
+        advantages = jnp.where(static.is_shown, 0.0, advantages)
     targets = advantages + trajectory.values
     # [T, W, ...] -> [T W, ...]: sample t W + w is step t of world w.
     flat = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), (trajectory, advantages, targets))
@@ -177,7 +179,8 @@ def _update(
 
     def epoch(carry: tuple[Array, Any], number: Array) -> tuple[tuple[Array, Any], Array]:
         index = _shuffled(prng.fold_in(key, number), num_steps, num_worlds, program)
-        offset, scale = _advantage_statistics(advantages.reshape(-1)[index], is_counted, minibatch_size, config)
+        played = None if static.is_shown is None else ~static.is_shown[index % num_worlds]
+        offset, scale = _advantage_statistics(advantages.reshape(-1)[index], played, is_counted, config)
         return jax.lax.scan(minibatch, carry, (index, offset, scale))
 
     def minibatch(carry: tuple[Array, Any], at: tuple[Array, Array, Array]) -> tuple[tuple[Array, Any], Array]:
@@ -185,11 +188,14 @@ def _update(
         index, offset, scale = at
         steps, minibatch_advantages, minibatch_targets = jax.tree.map(lambda x: x[index], flat)
         fixed = jax.tree.map(lambda x: x[index % num_worlds], static)
+        normalised = (minibatch_advantages - offset) * scale
+        if fixed.is_shown is not None:
+            normalised = jnp.where(fixed.is_shown, config.demonstration_advantage, normalised)
         samples = Samples(
             actions=steps.actions,
             old_log_probs=steps.log_probs,
             old_values=steps.values,
-            advantages=(minibatch_advantages - offset) * scale,
+            advantages=normalised,
             targets=minibatch_targets,
             is_counted=is_counted,
             bound_heads=fixed.bound_heads,
@@ -289,14 +295,20 @@ def _shuffled(key: Array, num_steps: int, num_worlds: int, program: _Program) ->
 
 
 def _advantage_statistics(
-    advantages: Array, is_counted: Array | None, minibatch_size: int, config: PpoConfig
+    advantages: Array, is_played: Array | None, is_counted: Array | None, config: PpoConfig
 ) -> tuple[Array, Array]:
-    """Shift and scale of the advantages of each minibatch, over all devices: two [minibatches]."""
+    """Shift and scale of the advantages [minibatches, B] of each minibatch, over all devices: two [minibatches].
+
+    is_played: [minibatches, B] bool, false where a demonstration acted; None: the policy always did.
+    """
     if not config.normalise_advantages:
         return jnp.zeros(config.minibatches, jnp.float32), jnp.ones(config.minibatches, jnp.float32)
-    mean = _sum(advantages, is_counted, axis=1) / minibatch_size
+    if is_played is not None:
+        is_counted = is_played if is_counted is None else is_played & is_counted
+    number = _sum(jnp.ones_like(advantages), is_counted, axis=1)
+    mean = _sum(advantages, is_counted, axis=1) / number
     squares = jnp.square(advantages - mean[:, None])
-    std = jnp.sqrt(_sum(squares, is_counted, axis=1) / minibatch_size)
+    std = jnp.sqrt(_sum(squares, is_counted, axis=1) / number)
     return mean, 1.0 / (std + 1e-8)  # 1e-8: equal advantages become zeros
 
 

@@ -133,10 +133,14 @@ class RolloutCore:
             )
         prepared = env.prepare(proposal.levels)
         policy, params = self._curriculum.players(self._policy, params, state)
+        shown = proposal.demonstrations
         static = StaticInput(
-            obs=prepared.static_obs, bound_heads=prepared.bound_heads if config.ppo.mask_unbound_heads else None
+            obs=prepared.static_obs,
+            bound_heads=prepared.bound_heads if config.ppo.mask_unbound_heads else None,
+            is_shown=None if shown is None else shown.is_shown,
         )
-        worlds = Worlds(prepared, *env.reset(prepared), members(groups, worlds_per_group), static.bound_heads)
+        numbers = members(groups, worlds_per_group)
+        worlds = Worlds(prepared, *env.reset(prepared), numbers, static.bound_heads, shown)
         played = unroll(
             policy,
             params,
@@ -148,7 +152,7 @@ class RolloutCore:
         )
         seen = None
         if self._curriculum.observes:
-            seen = dataclasses.replace(proposal, source=None), self._summarised(played)
+            seen = dataclasses.replace(proposal, source=None, demonstrations=None), self._summarised(played)
         batch = Batch(static, played.trajectory, played.last_value)
         batch = worlds_trained(batch, num_groups, config.num_trained_envs // config.rollout.num_groups)
         is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.slots)
