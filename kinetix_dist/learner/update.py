@@ -147,13 +147,20 @@ def exported_update(
     return exported_on_mesh(update, key, mesh, in_specs=IN_SPECS, out_specs=OUT_SPECS)
 
 
-def advantages_of(trajectory: Trajectory, last_value: Array, config: PpoConfig) -> Array:
-    """[T, W] float32, by which a policy is updated."""
+def advantages_of(trajectory: Trajectory, last_value: Array, config: PpoConfig, *, trace: float | None = None) -> Array:
+    """[T, W] float32, by which a policy is updated. trace: another one than that of PPO."""
     rewards, values, done_after = trajectory.rewards, trajectory.values, trajectory.done_after
     if trajectory.timed_out is not None:
         # What followed was never seen: the value of the state before stands for it.
         rewards = rewards + config.discount * jnp.where(trajectory.timed_out, values, 0.0)
-    return gae(rewards, values, done_after, last_value, discount=config.discount, trace=config.trace)
+    return gae(
+        rewards,
+        values,
+        done_after,
+        last_value,
+        discount=config.discount,
+        trace=config.trace if trace is None else trace,
+    )
 
 
 def _update(
@@ -164,11 +171,17 @@ def _update(
     num_steps, num_worlds = trajectory.rewards.shape
     num_samples = num_steps * _num_worlds(division, num_worlds * division.num_devices)  # of all devices
     advantages = advantages_of(trajectory, last_value, config)
-    if static.is_shown is not None:  # a demonstration says nothing of what the policy is worth
+    gained = None
+    if static.is_shown is not None:
+        # It is imitated as far as it led to more than the policy expected (Oh et al. 2018, self-imitation learning),
+        # and says nothing of what the policy is worth.
+        gained = config.imitation_weight * jnp.maximum(advantages_of(trajectory, last_value, config, trace=1.0), 0.0)
         advantages = jnp.where(static.is_shown, 0.0, advantages)
     targets = advantages + trajectory.values
     # [T, W, ...] -> [T W, ...]: sample t W + w is step t of world w.
-    flat = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), (trajectory, advantages, targets))
+    flat = jax.tree.map(
+        lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), (trajectory, advantages, targets, gained)
+    )
     minibatch_size = num_samples // config.minibatches  # of all devices
     is_counted = _counted_of_minibatch(program, num_steps, num_worlds)
     # Worlds begin an update with an episode.
@@ -186,11 +199,11 @@ def _update(
     def minibatch(carry: tuple[Array, Any], at: tuple[Array, Array, Array]) -> tuple[tuple[Array, Any], Array]:
         flat_params, opt_state = carry
         index, offset, scale = at
-        steps, minibatch_advantages, minibatch_targets = jax.tree.map(lambda x: x[index], flat)
+        steps, minibatch_advantages, minibatch_targets, minibatch_gained = jax.tree.map(lambda x: x[index], flat)
         fixed = jax.tree.map(lambda x: x[index % num_worlds], static)
         normalised = (minibatch_advantages - offset) * scale
         if fixed.is_shown is not None:
-            normalised = jnp.where(fixed.is_shown, config.demonstration_advantage, normalised)
+            normalised = jnp.where(fixed.is_shown, minibatch_gained, normalised)
         samples = Samples(
             actions=steps.actions,
             old_log_probs=steps.log_probs,
