@@ -48,13 +48,18 @@ def episode_keys(key: Array, levels: Array, episodes: Array) -> Array:
     return jax.vmap(one)(levels.astype(jnp.uint32), episodes.astype(jnp.uint32))
 
 
+def is_new(key: Array, number: Array) -> Array:
+    """[] bool, whether an episode takes another action at its step `number`, which it then holds."""
+    hold = jnp.exp(prng.uniform(key, (), np.log(MIN_HOLD), np.log(MAX_HOLD)))
+    return prng.uniform(prng.split(prng.fold_in(key, number))[0]) < 1.0 / hold
+
+
 def held_actions(env: Environment, keys: Array, numbers: Array, before: Array) -> Array:
     """[W, ...] actions of episodes `keys` [W] at their steps `numbers` [W]; before: those of the step before."""
 
     def draw(key: Array, number: Array) -> tuple[Array, Array]:
-        hold = jnp.exp(prng.uniform(key, (), np.log(MIN_HOLD), np.log(MAX_HOLD)))
-        first, second = prng.split(prng.fold_in(key, number))
-        return (prng.uniform(first) < 1.0 / hold) | (number == 0), env.action_space.sample(second, 1)[0]
+        second = prng.split(prng.fold_in(key, number))[1]
+        return is_new(key, number) | (number == 0), env.action_space.sample(second, 1)[0]
 
     changes, drawn = jax.vmap(draw)(keys, numbers.astype(jnp.uint32))
     return jnp.where(changes.reshape(-1, *[1] * (drawn.ndim - 1)), drawn, before)

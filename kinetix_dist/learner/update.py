@@ -173,10 +173,10 @@ def _update(
     advantages = advantages_of(trajectory, last_value, config)
     gained = None
     if static.is_shown is not None:
-        # It is imitated as far as it led to more than the policy expected (Oh et al. 2018, self-imitation learning),
-        # and says nothing of what the policy is worth.
+        # It is imitated as far as it led to more than the policy expected (Oh et al. 2018, self-imitation learning).
         gained = config.imitation_weight * jnp.maximum(advantages_of(trajectory, last_value, config, trace=1.0), 0.0)
-        advantages = jnp.where(static.is_shown, 0.0, advantages)
+    if trajectory.is_chosen is not None:  # the rest says nothing of what the policy is worth
+        advantages = jnp.where(trajectory.is_chosen, advantages, 0.0)
     targets = advantages + trajectory.values
     # [T, W, ...] -> [T W, ...]: sample t W + w is step t of world w.
     flat = jax.tree.map(
@@ -192,8 +192,8 @@ def _update(
 
     def epoch(carry: tuple[Array, Any], number: Array) -> tuple[tuple[Array, Any], Array]:
         index = _shuffled(prng.fold_in(key, number), num_steps, num_worlds, program)
-        played = None if static.is_shown is None else ~static.is_shown[index % num_worlds]
-        offset, scale = _advantage_statistics(advantages.reshape(-1)[index], played, is_counted, config)
+        chosen = None if trajectory.is_chosen is None else trajectory.is_chosen.reshape(-1)[index]
+        offset, scale = _advantage_statistics(advantages.reshape(-1)[index], chosen, is_counted, config)
         return jax.lax.scan(minibatch, carry, (index, offset, scale))
 
     def minibatch(carry: tuple[Array, Any], at: tuple[Array, Array, Array]) -> tuple[tuple[Array, Any], Array]:
@@ -202,6 +202,8 @@ def _update(
         steps, minibatch_advantages, minibatch_targets, minibatch_gained = jax.tree.map(lambda x: x[index], flat)
         fixed = jax.tree.map(lambda x: x[index % num_worlds], static)
         normalised = (minibatch_advantages - offset) * scale
+        if steps.is_chosen is not None:
+            normalised = jnp.where(steps.is_chosen, normalised, 0.0)
         if fixed.is_shown is not None:
             normalised = jnp.where(fixed.is_shown, minibatch_gained, normalised)
         samples = Samples(
@@ -308,16 +310,16 @@ def _shuffled(key: Array, num_steps: int, num_worlds: int, program: _Program) ->
 
 
 def _advantage_statistics(
-    advantages: Array, is_played: Array | None, is_counted: Array | None, config: PpoConfig
+    advantages: Array, is_chosen: Array | None, is_counted: Array | None, config: PpoConfig
 ) -> tuple[Array, Array]:
     """Shift and scale of the advantages [minibatches, B] of each minibatch, over all devices: two [minibatches].
 
-    is_played: [minibatches, B] bool, false where a demonstration acted; None: the policy always did.
+    is_chosen: [minibatches, B] bool, see `Trajectory.is_chosen`.
     """
     if not config.normalise_advantages:
         return jnp.zeros(config.minibatches, jnp.float32), jnp.ones(config.minibatches, jnp.float32)
-    if is_played is not None:
-        is_counted = is_played if is_counted is None else is_played & is_counted
+    if is_chosen is not None:
+        is_counted = is_chosen if is_counted is None else is_chosen & is_counted
     number = _sum(jnp.ones_like(advantages), is_counted, axis=1)
     mean = _sum(advantages, is_counted, axis=1) / number
     squares = jnp.square(advantages - mean[:, None])

@@ -141,3 +141,55 @@ def test_batches_that_cannot_be_divided_are_refused(numbers, message):
 def test_a_bad_configuration_names_field_and_value(field, value):
     with pytest.raises(ValueError, match=f"PpoConfig.{field} is {value}"):
         PpoConfig(**{field: value})
+
+
+# --- Samples that the policy did not choose
+
+
+def _loss_of(config, state, arguments, advantages, targets):
+    """Gradient of the formula at the parameters of `state`, one minibatch of all samples."""
+    static, trajectory, _ = jax.tree.map(jnp.asarray, arguments)
+    samples = Samples(
+        actions=trajectory.actions.reshape(STEPS * WORLDS, -1),
+        old_log_probs=trajectory.log_probs.reshape(-1),
+        old_values=trajectory.values.reshape(-1),
+        advantages=advantages.reshape(-1),
+        targets=targets.reshape(-1),
+    )
+    obs = jax.jit(observe)(static.obs, trajectory.dynamic_obs)
+    obs = jax.tree.map(lambda x: x.reshape(STEPS * WORLDS, *x.shape[2:]), obs)
+
+    def loss(params):
+        logits, values = make_policy(POLICY, ACTIONS.head_sizes).apply(params, obs)
+        log_probs, entropies = ACTIONS.log_prob_and_entropy(logits, samples.actions)
+        terms = ppo_terms(log_probs, entropies, values, samples, clip=config.clip, value_clip=config.clip)
+        return total_loss(terms / (STEPS * WORLDS), value_coefficient=0.5, entropy_coefficient=0.01)
+
+    return ravel_pytree(jax.jit(jax.grad(loss))(state.params))[0]
+
+
+@pytest.mark.parametrize("has_shown", [False, True])
+def test_held_actions_teach_nothing_and_shown_ones_what_they_gained(has_shown):
+    mesh = data_mesh(jax.devices()[:1])
+    config = dataclasses.replace(PPO, epochs=1, minibatches=1, max_grad_norm=1e9, imitation_weight=0.5)
+    update, state, (static, trajectory, last_value) = make_problem(mesh, config)
+    is_chosen = np.random.default_rng(1).random((STEPS, WORLDS)) < 0.5
+    is_shown = np.arange(WORLDS) >= WORLDS - 2
+    if has_shown:
+        is_chosen &= ~is_shown
+        static = dataclasses.replace(static, is_shown=is_shown)
+    trajectory = dataclasses.replace(trajectory, is_chosen=is_chosen)
+    _, metrics = update(state, *place((static, trajectory, last_value), mesh))
+
+    estimate = functools.partial(jax.jit(gae, static_argnames=("discount", "trace")), discount=config.discount)
+    parts = trajectory.rewards, trajectory.values, trajectory.done_after, last_value
+    found = np.asarray(estimate(*parts, trace=config.trace))
+    chosen = found[is_chosen]
+    advantages = np.where(is_chosen, (found - chosen.mean()) / chosen.std(), 0.0)
+    if has_shown:
+        gained = 0.5 * np.maximum(np.asarray(estimate(*parts, trace=1.0)), 0.0)
+        assert (gained[:, is_shown] > 0).any() and (gained[:, is_shown] == 0).any()
+        advantages = np.where(is_shown, gained, advantages)
+    targets = trajectory.values + np.where(is_chosen, found, 0.0)
+    gradient = _loss_of(config, state, (static, trajectory, last_value), jnp.asarray(advantages), jnp.asarray(targets))
+    assert float(metrics["grad_norm"]) == pytest.approx(float(jnp.linalg.norm(gradient)), rel=1e-4)

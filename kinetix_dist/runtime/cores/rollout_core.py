@@ -140,7 +140,8 @@ class RolloutCore:
             is_shown=None if shown is None else shown.is_shown,
         )
         numbers = members(groups, worlds_per_group)
-        worlds = Worlds(prepared, *env.reset(prepared), numbers, static.bound_heads, shown)
+        is_held = _holds(numbers % worlds_per_group, config.rollout.held_share) if config.rollout.held_share else None
+        worlds = Worlds(prepared, *env.reset(prepared), numbers, static.bound_heads, shown, is_held)
         played = unroll(
             policy,
             params,
@@ -212,6 +213,11 @@ def worlds_trained(batch: Batch, num_groups: int, num_trained: int) -> Batch:
         jax.tree.map(lambda x: x[:, world], batch.trajectory),
         batch.last_value[world],
     )
+
+
+def _holds(number: Array, share: float) -> Array:
+    """[W] bool: a share of the worlds of each group, by their numbers in it, spread evenly over it."""
+    return jnp.floor((number + 1) * share) > jnp.floor(number * share)
 
 
 def sums_of(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str, Any]:
