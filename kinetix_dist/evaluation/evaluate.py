@@ -193,9 +193,16 @@ def first_episodes(env: Environment, policy: Policy, params: Any, prepared: Prep
 def begin_play(env: Environment, policy: Policy, prepared: PreparedLevels) -> Playing:
     """Before the first step."""
     env_state, obs = env.reset(prepared)
-    zeros = jnp.zeros_like(env_state.distance)
+    memory = first_memory(policy, env_state.distance.shape[0])
+    episodes = no_episodes(env_state.distance)
+    return Playing(num_steps=jnp.int32(0), env_state=env_state, obs=obs, memory=memory, episodes=episodes)
+
+
+def no_episodes(like: Array) -> Episodes:
+    """Before anything was played, of as many worlds as `like` [W] float32 has."""
+    zeros = jnp.zeros_like(like)
     no = zeros.astype(bool)
-    episodes = Episodes(
+    return Episodes(
         finished=no,
         solved=no,
         failed=no,
@@ -204,8 +211,6 @@ def begin_play(env: Environment, policy: Policy, prepared: PreparedLevels) -> Pl
         episode_return=zeros,
         episode_length=zeros.astype(jnp.int32),
     )
-    memory = first_memory(policy, zeros.shape[0])
-    return Playing(num_steps=jnp.int32(0), env_state=env_state, obs=obs, memory=memory, episodes=episodes)
 
 
 def play_on(
@@ -232,7 +237,7 @@ def play_on(
             env_state=env_state,
             obs=obs,
             memory=memory,
-            episodes=_record_first(now.episodes, done, info),
+            episodes=record_first(now.episodes, done, info),
         )
 
     return jax.lax.while_loop(some_play_on, play, playing)
@@ -252,7 +257,7 @@ def _attempt_chunk(
     return first_episodes(env, policy, params, env.prepare(chosen), attempt_keys(key, index))
 
 
-def _record_first(episodes: Episodes, done: Array, info: StepInfo) -> Episodes:
+def record_first(episodes: Episodes, done: Array, info: StepInfo) -> Episodes:
     """Adds the episodes that end now, but for worlds that have finished one before."""
     is_first = done & ~episodes.finished
     return Episodes(

@@ -10,6 +10,7 @@ import pytest
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.level.level_data import levels_root
+from tests.cli.test_eval_command import TINY_POLICY, save_run
 from tests.level.documents import cart_document
 
 
@@ -63,6 +64,17 @@ def test_what_is_found_is_stored_beside_the_level_and_checked(
     assert status == 1 and f"{stored}: level_sha256: is " in lines[0] and "0 of 1" in lines[1]
 
 
+@pytest.mark.long
+def test_the_policy_of_a_checkpoint_tries_first(level_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One that has learned nothing yet: what it draws opens the trapdoor in a third of all episodes."""
+    checkpoint = save_run(level_file.parent, TINY_POLICY)
+    status, lines = command(
+        capsys, str(level_file), "--checkpoint", str(checkpoint), "--seconds", "30", "--worlds", "64"
+    )
+    assert status == 0 and " steps by policy after " in lines[0]
+    assert json.loads(level_file.with_name("mine.proof.json").read_text())["method"] == "policy"
+
+
 def test_actions_that_do_not_solve_are_found_out(level_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     proof = json.loads((levels_root() / "proofs" / "s" / "trapdoor.json").read_text())
     proof |= {"actions": "5*000000", "num_steps": 5}
@@ -93,7 +105,8 @@ def test_what_is_wrong_is_one_line(level_file: Path, tmp_path: Path, capsys: pyt
     assert "is a file; give a directory" in refusal(capsys, level, "--proofs", level)
     assert "nothing to draw" in refusal(capsys, level, "--check", "--picture", str(tmp_path / "a.png"))
     missing = refusal(capsys, level, "--method", "policy", "--checkpoint", str(tmp_path / "none"), "--seconds", "1")
-    assert "none" in missing
+    assert "there is no checkpoint" in missing and "none" in missing
+    assert "there is no checkpoint generalists" in refusal(capsys, level, "--checkpoint", "generalists")
     document = cart_document() | {"joints": [], "thrusters": []}
     level_file.write_text(json.dumps(document))
     assert "no action moves anything in it" in refusal(capsys, level)

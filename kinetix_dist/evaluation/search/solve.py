@@ -32,9 +32,9 @@ Search = Callable[[Worlds, np.random.Generator, Budget], list[np.ndarray]]
 SEARCHES: dict[str, Search] = {"random": random_search, "cem": cross_entropy, "best_first": best_first}
 METHODS = (*SEARCHES, "stored", "policy")
 SHARES = {
+    "policy": 0.15,
     "stored": 0.3,
     "random": 0.15,
-    "policy": 0.15,
     "cem": 0.35,
     "best_first": 1.0,
 }  # of the seconds that are left, in this order
