@@ -25,9 +25,6 @@ class Trajectory:
     values: Array  # [T, W] float32
     rewards: Array  # [T, W] float32
     done_after: Array  # [T, W] bool, the episode ended with this step (also at the time limit)
-    # [T, W] bool, the policy chose this action in this step; elsewhere it is held from a step before, or a
-    # demonstration's. None: it always did.
-    is_chosen: Array | None = None
     timed_out: Array | None = None  # [T, W] bool, it ended so at the time limit; None: not recorded
 
 
@@ -38,7 +35,6 @@ class StaticInput:
 
     obs: Any  # [W, ...], see `Observation.static`
     bound_heads: Array | None = None  # [W, heads] bool, see `ActionSpace.bound_heads`; None: all heads count
-    is_shown: Array | None = None  # [W] bool, actions are a demonstration's, to be imitated; None: all are the policy's
 
 
 @jax.tree_util.register_dataclass

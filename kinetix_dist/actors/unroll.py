@@ -21,12 +21,9 @@ from kinetix_dist import prng
 from kinetix_dist.actors import invariants
 from kinetix_dist.actors.outcomes import add_step, no_outcomes
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.env.held_actions import Demonstrations, held_actions, is_new
 from kinetix_dist.env.records import EnvState, PreparedLevels
 from kinetix_dist.messages import LevelOutcome, Trajectory
 from kinetix_dist.models.gru import act, initial_memory, reset_memory
-
-_HOLDS = 0xFFFFFFFF  # folded into the key of a world, where numbers of steps are otherwise
 
 
 class Worlds(NamedTuple):
@@ -37,8 +34,6 @@ class Worlds(NamedTuple):
     obs: Any  # [W, ...], as `env.reset` or the last unroll gave it
     numbers: Array | None = None  # [W] of these worlds in the whole batch; None: from 0 on
     bound_heads: Array | None = None  # [W, dimensions] bool, those whose log-probability counts; None: all
-    demonstrations: Demonstrations | None = None  # [W], worlds where they act instead of the policy
-    is_held: Array | None = None  # [W] bool, worlds where the policy's actions are held for a while; None: nowhere
 
 
 class Played(NamedTuple):
@@ -72,22 +67,15 @@ def unroll(
     num_worlds = _num_worlds(worlds.obs)
     world_keys = keys_of_worlds(key, jnp.arange(num_worlds) if worlds.numbers is None else worlds.numbers)
 
-    is_other = worlds.demonstrations is not None or worlds.is_held is not None  # not always the policy's choice
-
     @jax.jit  # traced once for the steps and for the value behind the last one
     def play(params: Any, obs: Any, memory: Array | None) -> tuple[Any, Array, Array | None]:
         return act(policy, params, obs, memory)
 
     def step(carry: tuple, number: Array) -> tuple[tuple, Trajectory]:
-        env_state, obs, memory, outcome, before = carry
+        env_state, obs, memory, outcome = carry
         outputs, value, memory = play(params, env.observe(prepared, obs), memory)
         uniforms = _uniforms(world_keys, number, distribution.num_uniforms)
         actions, log_prob = distribution.sample(outputs, uniforms, **counted)
-        is_chosen = None
-        if is_other:
-            actions, is_chosen = _played(env, worlds, world_keys, (env_state.num_steps, number), (before, actions))
-            log_prob, _ = distribution.log_prob_and_entropy(outputs, actions, **counted)
-            before = actions.astype(before.dtype)
         env_state, next_obs, reward, done, info = env.step(prepared, env_state, actions)
         taken = Trajectory(
             dynamic_obs=jax.tree.map(_world_by_world, obs),
@@ -96,14 +84,12 @@ def unroll(
             values=value,
             rewards=reward,
             done_after=done,
-            is_chosen=is_chosen,
             timed_out=info.timed_out if keep_timeouts else None,
         )
-        return (env_state, next_obs, reset_memory(memory, done), add_step(outcome, done, info), before), taken
+        return (env_state, next_obs, reset_memory(memory, done), add_step(outcome, done, info)), taken
 
-    before = env.action_space.noop_actions(num_worlds) if is_other else None
-    carry = (worlds.env_state, worlds.obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds), before)
-    (env_state, obs, memory, outcome, _), trajectory = invariants.scan(
+    carry = (worlds.env_state, worlds.obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
+    (env_state, obs, memory, outcome), trajectory = invariants.scan(
         step, carry, jnp.arange(num_steps, dtype=jnp.uint32)
     )
     _, last_value, _ = play(params, env.observe(prepared, obs), memory)
@@ -134,31 +120,6 @@ def score(
     carry = (env_state, obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
     (_, _, _, outcome), _ = invariants.scan(step, carry, jnp.arange(num_steps, dtype=jnp.uint32))
     return outcome
-
-
-def _played(
-    env: Environment, worlds: Worlds, world_keys: Array, at: tuple[Array, Array], actions: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """(actions that are played [W, ...], whether the policy chose each now [W]).
-
-    at: steps that the episodes of the worlds took [W], step of the unroll; actions: those of the step before, and those
-    of the policy.
-    """
-    num_steps, number = at
-    before, chosen = actions
-    shape = (-1, *[1] * (chosen.ndim - 1))
-    is_chosen = jnp.ones(num_steps.shape, bool)
-    played = chosen
-    if worlds.is_held is not None:
-        changes = jax.vmap(is_new, (0, None))(jax.vmap(prng.fold_in, (0, None))(world_keys, _HOLDS), number)
-        is_chosen = ~worlds.is_held | changes | (num_steps == 0)
-        played = jnp.where(is_chosen.reshape(shape), played, before.astype(played.dtype))
-    if worlds.demonstrations is not None:
-        shown = worlds.demonstrations
-        theirs = held_actions(env, prng.wrap_key_data(shown.keys), num_steps, before)
-        played = jnp.where(shown.is_shown.reshape(shape), theirs.astype(played.dtype), played)
-        is_chosen &= ~shown.is_shown
-    return played, is_chosen
 
 
 def _world_by_world(x: Array) -> Array:

@@ -22,7 +22,6 @@ class RolloutConfig:
     num_envs: int = setting(2048, minimum=1)  # worlds, over all devices
     num_steps: int = setting(256, minimum=1)  # environment steps of each world in an update
     num_groups: int = setting(64, minimum=1)  # of worlds, with levels drawn from a key each; no more devices can play
-    held_share: float = setting(0.0, minimum=0, maximum=1)  # of the worlds, where actions are held for a while
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -13,16 +13,11 @@ from kinetix_dist.curator.config import CurriculumConfig
 
 def num_from_buffer(config: CurriculumConfig, worlds_per_group: int) -> int:
     """Worlds of a group that play levels of the buffer; raises where the share is not a whole number of worlds."""
-    return num_of_share("buffer_share", config.buffer_share, worlds_per_group)
-
-
-def num_of_share(name: str, share: float, worlds_per_group: int) -> int:
-    """Worlds of a group that a share is; raises ValueError, which names the setting, where it is no whole number."""
-    exact = share * worlds_per_group
+    exact = config.buffer_share * worlds_per_group
     if abs(exact - round(exact)) > 1e-6:
         raise ValueError(
-            f"{name} {share} of {worlds_per_group} worlds a group is {exact:g}, no whole number; "
-            f"change {name} or the number of environments"
+            f"buffer_share {config.buffer_share} of {worlds_per_group} worlds a group is {exact:g}, no whole number; "
+            "change buffer_share or the number of environments"
         )
     return round(exact)
 

@@ -10,7 +10,7 @@ from kinetix_dist.level.size_mixture import check_weights
 from kinetix_dist.setting import ConfigError, check_settings, setting
 
 # Sections of `CurriculumConfig` that only those curricula read that name them in `Curriculum.sections`.
-OWN_SECTIONS = ("plr", "accel", "paired", "slices", "backward")
+OWN_SECTIONS = ("plr", "accel", "paired", "slices")
 PRIORITISATIONS = ("rank", "top_k")
 ANTAGONIST_RETURNS = ("mean", "max")
 MAX_ATTEMPTS = 1 << 16  # per candidate: a quarter of its square is an int32, see `halving.py`
@@ -109,34 +109,10 @@ class SlicesConfig:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class BackwardConfig:
-    """Search for solutions of levels that the policy never solves, and the stages in which they are taught."""
-
-    share: float = setting(0.25, minimum=0, maximum=1)  # of the worlds of a group, which play levels with a solution
-    shown_share: float = setting(0.0, minimum=0, maximum=1)  # which their solutions play, for the policy to imitate
-    num_levels: int = setting(2048, minimum=1)  # with a solution that are stored
-    num_stages: int = setting(8, minimum=1)  # from the end of a solution to the true start
-    num_searched: int = setting(256, minimum=1)  # candidates of a scoring batch, at most, that a refresh searches
-    search_worlds: int = setting(65536, minimum=1)  # episodes of random actions in a round, of all of these together
-    search_rounds: int = setting(8, minimum=1)  # all go to levels without a solution by then
-    min_plays: int = setting(16, minimum=1)  # of a stage, before it is judged
-    advance_above: float = setting(0.5, above=0, maximum=1)  # solve rate from which the next stage follows
-    retreat_below: float = setting(0.05, minimum=0, maximum=1)  # solve rate up to which the stage before follows
-    patience: int = setting(20, minimum=1)  # times a level is judged without coming on before it leaves
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        if self.retreat_below >= self.advance_above:
-            raise ConfigError(
-                f"BackwardConfig.retreat_below {self.retreat_below} is not below advance_above {self.advance_above}"
-            )
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
     """Defaults are those of the paper's SFL. Each curriculum reads some of the fields."""
 
-    name: str = "sfl"  # of `CURRICULA` in kinetix_dist/curator/curricula.py, or one of yours
+    name: str = "sfl"  # "sfl", "sfl_slices", "plr", "robust_plr", "accel", "paired", "domain_randomization" or "fixed"
     levels: str = ""  # level set to train on, a name or a path; for "fixed", and yours that take levels
     num_candidates: int = setting(12288, minimum=1)  # N, fresh levels scored in a refresh
     scoring_steps: int = setting(512, minimum=1)  # L, environment steps played on each candidate
@@ -150,7 +126,6 @@ class CurriculumConfig:
     accel: AccelConfig = dataclasses.field(default_factory=AccelConfig)
     paired: PairedConfig = dataclasses.field(default_factory=PairedConfig)
     slices: SlicesConfig = dataclasses.field(default_factory=SlicesConfig)
-    backward: BackwardConfig = dataclasses.field(default_factory=BackwardConfig)
     generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
 
     def __post_init__(self) -> None:

@@ -4,7 +4,6 @@
 |---|---|
 | `sfl` | a share from a buffer of learnable levels, the rest fresh from the generator |
 | `sfl_slices` | the same; a refresh renews part of the buffer, and levels leave by what training made of them |
-| `sfl_backward` | those of `sfl`, and levels that are never solved, begun near the end of a searched solution |
 | `plr` | a share from a buffer of levels of high score, by rank and staleness, the rest fresh |
 | `robust_plr` | the same; fresh levels give no gradient |
 | `accel` | the same; part of what is fresh there are levels of the buffer with random changes |
@@ -21,7 +20,6 @@ from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.curator.paired import Paired
 from kinetix_dist.curator.plr import Plr, RobustPlr
 from kinetix_dist.curator.sfl import Sfl
-from kinetix_dist.curator.sfl_backward import SflBackward
 from kinetix_dist.curator.sfl_slices import SflSlices
 from kinetix_dist.curator.stateless import DomainRandomization, Fixed
 from kinetix_dist.level.size_mixture import counts_of
@@ -30,7 +28,6 @@ from kinetix_dist.registry import Registry
 CURRICULA: Registry[type[Curriculum]] = Registry("curriculum")
 CURRICULA.register("sfl", Sfl)
 CURRICULA.register("sfl_slices", SflSlices)
-CURRICULA.register("sfl_backward", SflBackward)
 CURRICULA.register("plr", Plr)
 CURRICULA.register("robust_plr", RobustPlr)
 CURRICULA.register("accel", Accel)

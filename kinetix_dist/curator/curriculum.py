@@ -34,8 +34,6 @@ from jax2d.scene import Array, Capacity
 from kinetix_dist.curator.agents import Agents
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.fresh_levels import fresh_levels
-from kinetix_dist.env.environment import Environment
-from kinetix_dist.env.held_actions import Demonstrations
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.mutators import mutate
 from kinetix_dist.messages import LevelOutcome, Trajectory
@@ -51,7 +49,6 @@ class Proposal:
     # [W] int32, for the counts of outcomes.jsonl: an index into `Curriculum.sources`, or their number + a slot of the
     # buffer (`num_slots`). None: all are of the first source.
     source: Array | None = None
-    demonstrations: Demonstrations | None = None  # [W], worlds that the policy imitates and does not play
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -59,7 +56,7 @@ class CurriculumTools:
     """Parts that curricula are built from: levels of the run and ways to play them."""
 
     config: CurriculumConfig
-    env: Environment  # of the run
+    capacity: Capacity
     worlds_per_group: int
     max_steps: int  # environment steps in which every episode has ended
     solves_itself: Callable[[Level], Array]  # [W, ...] -> [W] bool, solved without any action
@@ -68,11 +65,6 @@ class CurriculumTools:
     advantages: Callable[[Trajectory, Array], Array]  # (trajectory, last values) -> [T, W], the learner's
     agents: Agents  # that learn next to the policy
     devices: Sequence[Any] = dataclasses.field(default_factory=jax.local_devices)  # for `refresh`, of this process
-
-    @property
-    def capacity(self) -> Capacity:
-        """Sizes of the levels of the run."""
-        return self.env.capacity
 
     def draw_fresh(self, group_keys: Array, levels_per_group: int) -> Level:
         """[groups * levels_per_group] random levels, group by group, without those that solve themselves."""

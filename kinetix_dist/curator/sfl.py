@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -45,15 +45,6 @@ class Probe:
     policy_version: Any  # [] int32, that scored the buffer
     index: Any  # [m] int32, slots in the buffer
     levels: Level  # [m, ...]
-
-
-class ScoredBatches(NamedTuple):
-    """Batches of candidates that one process played, in order."""
-
-    number: tuple[np.ndarray, ...]  # [n] each, among the candidates of the refresh
-    levels: tuple[Level, ...]  # [n, ...] each, on the device that played them
-    num_solved: Sequence[np.ndarray]  # [n] each
-    num_finished: Sequence[np.ndarray]  # [n] each
 
 
 class Sfl(Curriculum):
@@ -129,21 +120,6 @@ class Sfl(Curriculum):
     ) -> Scored:
         """Every `num_parts`-th batch of the candidates, scored by `params`."""
         del given
-        return self.best_of(self.score_batches(params, key, part, num_parts), policy_version)
-
-    def best_of(self, batches: ScoredBatches, policy_version: int) -> Scored:
-        """Counts of all candidates, levels of the best."""
-        features = jax.device_get([self._features(levels) for levels in batches.levels])
-        counts = (batches.number, batches.num_solved, batches.num_finished, features)
-        return scored(
-            Candidates(*(np.concatenate(count) for count in counts)),
-            lambda index: self._pick(jax.device_put(batches.levels, self.tools.devices[0]), index),
-            size=self.tools.config.buffer_size,
-            policy_version=policy_version,
-        )
-
-    def score_batches(self, params: Any, key: Array, part: int, num_parts: int) -> ScoredBatches:
-        """Every `num_parts`-th batch of the candidates, played by `params`; batches go in turn to the devices."""
         config = self.tools.config
         batches = range(part, config.num_batches, num_parts)
         devices = self.tools.devices[: len(batches)]
@@ -155,10 +131,16 @@ class Sfl(Curriculum):
 
         # All devices get work before any is waited for.
         levels, *counts = zip(*(score(index, batch) for index, batch in enumerate(batches)), strict=True)
-        num_solved, num_finished = jax.device_get(counts)
+        counts.append([self._features(batch) for batch in levels])
+        num_solved, num_finished, features = (np.concatenate(jax.device_get(count)) for count in counts)
         one_batch = np.arange(config.scoring_batch)
-        number = tuple(batch * config.scoring_batch + one_batch for batch in batches)
-        return ScoredBatches(number=number, levels=levels, num_solved=num_solved, num_finished=num_finished)
+        number = np.concatenate([batch * config.scoring_batch + one_batch for batch in batches])
+        return scored(
+            Candidates(number, num_solved, num_finished, features),
+            lambda index: self._pick(jax.device_put(levels, devices[0]), index),
+            size=config.buffer_size,
+            policy_version=policy_version,
+        )
 
     def join(self, parts: Sequence[Scored]) -> LevelBuffer:
         """A new buffer; the whole previous one is replaced."""

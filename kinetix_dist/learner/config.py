@@ -51,7 +51,6 @@ class PpoConfig:
     bootstrap_timeouts: bool = False  # an episode that ends at the time limit is worth as much as the state before
     average_updates: int = setting(0, minimum=0)  # over which parameters are averaged for evaluation; 0: none
     max_kl: float = setting(0.0, minimum=0)  # mean KL of an update above which the rate falls for good; 0: never
-    imitation_weight: float = setting(1.0, minimum=0)  # of a sample that led to 1 more than the policy expected
     anneal: AnnealConfig = dataclasses.field(default_factory=AnnealConfig)
 
     def __post_init__(self) -> None:

@@ -147,20 +147,13 @@ def exported_update(
     return exported_on_mesh(update, key, mesh, in_specs=IN_SPECS, out_specs=OUT_SPECS)
 
 
-def advantages_of(trajectory: Trajectory, last_value: Array, config: PpoConfig, *, trace: float | None = None) -> Array:
-    """[T, W] float32, by which a policy is updated. trace: another one than that of PPO."""
+def advantages_of(trajectory: Trajectory, last_value: Array, config: PpoConfig) -> Array:
+    """[T, W] float32, by which a policy is updated."""
     rewards, values, done_after = trajectory.rewards, trajectory.values, trajectory.done_after
     if trajectory.timed_out is not None:
         # What followed was never seen: the value of the state before stands for it.
         rewards = rewards + config.discount * jnp.where(trajectory.timed_out, values, 0.0)
-    return gae(
-        rewards,
-        values,
-        done_after,
-        last_value,
-        discount=config.discount,
-        trace=config.trace if trace is None else trace,
-    )
+    return gae(rewards, values, done_after, last_value, discount=config.discount, trace=config.trace)
 
 
 def _update(
@@ -171,17 +164,9 @@ def _update(
     num_steps, num_worlds = trajectory.rewards.shape
     num_samples = num_steps * _num_worlds(division, num_worlds * division.num_devices)  # of all devices
     advantages = advantages_of(trajectory, last_value, config)
-    gained = None
-    if static.is_shown is not None:
-        # It is imitated as far as it led to more than the policy expected (Oh et al. 2018, self-imitation learning).
-        gained = config.imitation_weight * jnp.maximum(advantages_of(trajectory, last_value, config, trace=1.0), 0.0)
-    if trajectory.is_chosen is not None:  # the rest says nothing of what the policy is worth
-        advantages = jnp.where(trajectory.is_chosen, advantages, 0.0)
     targets = advantages + trajectory.values
     # [T, W, ...] -> [T W, ...]: sample t W + w is step t of world w.
-    flat = jax.tree.map(
-        lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), (trajectory, advantages, targets, gained)
-    )
+    flat = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), (trajectory, advantages, targets))
     minibatch_size = num_samples // config.minibatches  # of all devices
     is_counted = _counted_of_minibatch(program, num_steps, num_worlds)
     # Worlds begin an update with an episode.
@@ -192,25 +177,19 @@ def _update(
 
     def epoch(carry: tuple[Array, Any], number: Array) -> tuple[tuple[Array, Any], Array]:
         index = _shuffled(prng.fold_in(key, number), num_steps, num_worlds, program)
-        chosen = None if trajectory.is_chosen is None else trajectory.is_chosen.reshape(-1)[index]
-        offset, scale = _advantage_statistics(advantages.reshape(-1)[index], chosen, is_counted, config)
+        offset, scale = _advantage_statistics(advantages.reshape(-1)[index], is_counted, minibatch_size, config)
         return jax.lax.scan(minibatch, carry, (index, offset, scale))
 
     def minibatch(carry: tuple[Array, Any], at: tuple[Array, Array, Array]) -> tuple[tuple[Array, Any], Array]:
         flat_params, opt_state = carry
         index, offset, scale = at
-        steps, minibatch_advantages, minibatch_targets, minibatch_gained = jax.tree.map(lambda x: x[index], flat)
+        steps, minibatch_advantages, minibatch_targets = jax.tree.map(lambda x: x[index], flat)
         fixed = jax.tree.map(lambda x: x[index % num_worlds], static)
-        normalised = (minibatch_advantages - offset) * scale
-        if steps.is_chosen is not None:
-            normalised = jnp.where(steps.is_chosen, normalised, 0.0)
-        if fixed.is_shown is not None:
-            normalised = jnp.where(fixed.is_shown, minibatch_gained, normalised)
         samples = Samples(
             actions=steps.actions,
             old_log_probs=steps.log_probs,
             old_values=steps.values,
-            advantages=normalised,
+            advantages=(minibatch_advantages - offset) * scale,
             targets=minibatch_targets,
             is_counted=is_counted,
             bound_heads=fixed.bound_heads,
@@ -310,20 +289,14 @@ def _shuffled(key: Array, num_steps: int, num_worlds: int, program: _Program) ->
 
 
 def _advantage_statistics(
-    advantages: Array, is_chosen: Array | None, is_counted: Array | None, config: PpoConfig
+    advantages: Array, is_counted: Array | None, minibatch_size: int, config: PpoConfig
 ) -> tuple[Array, Array]:
-    """Shift and scale of the advantages [minibatches, B] of each minibatch, over all devices: two [minibatches].
-
-    is_chosen: [minibatches, B] bool, see `Trajectory.is_chosen`.
-    """
+    """Shift and scale of the advantages of each minibatch, over all devices: two [minibatches]."""
     if not config.normalise_advantages:
         return jnp.zeros(config.minibatches, jnp.float32), jnp.ones(config.minibatches, jnp.float32)
-    if is_chosen is not None:
-        is_counted = is_chosen if is_counted is None else is_chosen & is_counted
-    number = _sum(jnp.ones_like(advantages), is_counted, axis=1)
-    mean = _sum(advantages, is_counted, axis=1) / number
+    mean = _sum(advantages, is_counted, axis=1) / minibatch_size
     squares = jnp.square(advantages - mean[:, None])
-    std = jnp.sqrt(_sum(squares, is_counted, axis=1) / number)
+    std = jnp.sqrt(_sum(squares, is_counted, axis=1) / minibatch_size)
     return mean, 1.0 / (std + 1e-8)  # 1e-8: equal advantages become zeros
 
 

@@ -134,11 +134,6 @@ _ALL = (
     Metric("curriculum/out_of_reach_share", "share", "of the levels replaced so far, those that were hardly solved"),
     Metric("curriculum/level_age", "updates", "since the levels in the buffer were chosen, mean"),
     Metric("curriculum/plays_per_level", "plays", "of a level in training since it was chosen, mean"),
-    Metric("curriculum/proved_share", "share", "of the candidates that sfl_backward searched, those solved"),
-    Metric("curriculum/bank_filled_share", "share", "of its slots for levels with a solution, those that hold one"),
-    Metric("curriculum/bank_stage", "stage", "that these levels are at, mean; the last one is the true start"),
-    Metric("curriculum/bank_learned", "levels", "that left since their true start was solved, so far"),
-    Metric("curriculum/bank_given_up", "levels", "that left since they did not come on, so far"),
     Metric("curriculum/buffer_is_stale", "0 or 1", "1 when a refresh was lost and the previous buffer is still in use"),
     Metric("curriculum/filled_share", "share", "share of the slots of the replay buffer that hold a level"),
     Metric(

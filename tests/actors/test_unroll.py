@@ -14,7 +14,6 @@ from jax2d.scene import stack_worlds
 from kinetix_dist.actors.outcomes import PHYSICS_FIELDS, add_step, no_outcomes
 from kinetix_dist.actors.unroll import Worlds, score, unroll
 from kinetix_dist.env.environment import EnvConfig, Environment
-from kinetix_dist.env.held_actions import Demonstrations, episode_keys, held_actions
 from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
@@ -173,64 +172,3 @@ def test_outcomes_by_hand():
     assert both.physics.unstable.tolist() == [0, 0, 2]
     assert both.physics.missing_effects.tolist() == [2, 0, 0]  # steps, whatever the bits
     assert both.physics.speed_limited.tolist() == [2 * int(counts["speed_limited"][0]), 0, 0]
-
-
-# --- Worlds in which the policy does not choose each action anew
-
-
-@pytest.fixture(scope="module")
-def other(problem):
-    """World 0 is the policy's, 1 and 2 hold its actions, 3 is shown an episode of held actions; 64 steps of 20."""
-    env = Environment(EnvConfig(size="s", max_steps=20))
-    keys = episode_keys(jax.random.key(4), jnp.arange(4), jnp.zeros(4, int))
-    shown = Demonstrations(keys=jax.random.key_data(keys), is_shown=jnp.array([False, False, False, True]))
-
-    @jax.jit
-    def play(key):
-        prepared = env.prepare(problem.levels)
-        worlds = Worlds(
-            prepared,
-            *env.reset(prepared),
-            jnp.arange(4),
-            demonstrations=shown,
-            is_held=jnp.array([False, True, True, False]),
-        )
-        return unroll(problem.policy, problem.params, env, worlds, key, 64).trajectory, prepared.static_obs
-
-    trajectory, static_obs = jax.device_get(play(jax.random.key(3)))
-    return env, keys, trajectory, static_obs
-
-
-def test_what_is_held_is_the_action_of_the_step_before(other):
-    _, _, trajectory, _ = other
-    is_chosen, actions = trajectory.is_chosen, trajectory.actions
-    assert is_chosen[:, 0].all() and not is_chosen[:, 3].any()
-    assert is_chosen[:, 1:3].sum(axis=0).min() >= 2 and is_chosen[:, 1:3].mean() < 0.7
-    is_held = ~is_chosen[1:, 1:3]
-    assert (actions[1:, 1:3][is_held] == actions[:-1, 1:3][is_held]).all()
-    begins = np.roll(trajectory.done_after, 1, axis=0)
-    begins[0] = True
-    assert is_chosen[:, 1:3][begins[:, 1:3]].all()  # no episode begins with what another did
-
-
-def test_a_demonstration_acts_in_each_episode_as_its_search_saw_it(other, problem):
-    env, keys, trajectory, _ = other
-    actions = env.action_space.noop_actions(1)
-    number = 0
-    for step in range(64):
-        actions = held_actions(env, keys[3:], jnp.array([number]), actions)
-        np.testing.assert_array_equal(trajectory.actions[step, 3], actions[0])
-        number = 0 if trajectory.done_after[step, 3] else number + 1
-
-
-def test_log_probabilities_are_the_policys_of_what_was_played(other, problem):
-    env, _, trajectory, static_obs = other
-
-    @jax.jit
-    def log_probs(dynamic, actions):
-        outputs, _ = problem.policy.apply(problem.params, env.observation.join(static_obs, dynamic))
-        return env.action_distribution.log_prob_and_entropy(outputs, actions)[0]
-
-    for step in (0, 7, 30):
-        dynamic = jax.tree.map(lambda x, step=step: x[step], trajectory.dynamic_obs)
-        np.testing.assert_allclose(trajectory.log_probs[step], log_probs(dynamic, trajectory.actions[step]), atol=1e-5)

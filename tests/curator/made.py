@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -31,9 +30,8 @@ def curriculum_of(
     def unused(*arguments: Any) -> Any:
         raise AssertionError(f"this curriculum was to do without: {arguments}")
 
-    env = given.pop("env", SimpleNamespace(capacity=capacity))
     functions = dict.fromkeys(("solves_itself", "play", "load_levels", "advantages", "agents"), unused) | given
-    made = tools(config=config, env=env, worlds_per_group=worlds_per_group, max_steps=256, **functions)  # type: ignore[arg-type]
+    made = tools(config=config, capacity=capacity, worlds_per_group=worlds_per_group, max_steps=256, **functions)  # type: ignore[arg-type]
     return curriculum_class(config, worlds_per_group)(made)
 
 

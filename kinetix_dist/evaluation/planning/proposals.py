@@ -13,8 +13,8 @@ import numpy as np
 from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.env.action_spaces import ActionSpace
-from kinetix_dist.env.held_actions import MAX_HOLD, MIN_HOLD
 from kinetix_dist.evaluation.planning.problems import over_actions
+from kinetix_dist.evaluation.search.sampling import MAX_HOLD, MIN_HOLD
 
 NUM_PATCHES = 3  # at most
 MAX_PATCH = 64  # steps

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from kinetix_dist import prng
-from kinetix_dist.env.held_actions import MAX_HOLD, MIN_HOLD
 from kinetix_dist.evaluation.policies import Player
 from kinetix_dist.evaluation.recordings import play_policy
 from kinetix_dist.evaluation.search.polish import padded, variant
 from kinetix_dist.evaluation.search.worlds import Budget, Worlds, solutions
 
+MIN_HOLD, MAX_HOLD = 2, 64  # environment steps; how long an episode holds its actions on average is drawn between them
 POLICY_WORLDS = 64  # at once: on a CPU their episodes take seconds, those of 512 worlds a share of a minute
 
 

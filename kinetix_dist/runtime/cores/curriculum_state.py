@@ -163,7 +163,7 @@ def _built(config: TrainConfig, env: Environment, policy: Any, mesh: Mesh, kind:
 
     tools = CurriculumTools(
         config=config.curriculum,
-        env=env,
+        capacity=env.capacity,
         worlds_per_group=config.rollout.worlds_per_group,
         max_steps=config.env.max_steps,
         solves_itself=lambda levels: noop_solved(env, levels),

@@ -133,15 +133,10 @@ class RolloutCore:
             )
         prepared = env.prepare(proposal.levels)
         policy, params = self._curriculum.players(self._policy, params, state)
-        shown = proposal.demonstrations
         static = StaticInput(
-            obs=prepared.static_obs,
-            bound_heads=prepared.bound_heads if config.ppo.mask_unbound_heads else None,
-            is_shown=None if shown is None else shown.is_shown,
+            obs=prepared.static_obs, bound_heads=prepared.bound_heads if config.ppo.mask_unbound_heads else None
         )
-        numbers = members(groups, worlds_per_group)
-        is_held = _holds(numbers % worlds_per_group, config.rollout.held_share) if config.rollout.held_share else None
-        worlds = Worlds(prepared, *env.reset(prepared), numbers, static.bound_heads, shown, is_held)
+        worlds = Worlds(prepared, *env.reset(prepared), members(groups, worlds_per_group), static.bound_heads)
         played = unroll(
             policy,
             params,
@@ -153,7 +148,7 @@ class RolloutCore:
         )
         seen = None
         if self._curriculum.observes:
-            seen = dataclasses.replace(proposal, source=None, demonstrations=None), self._summarised(played)
+            seen = dataclasses.replace(proposal, source=None), self._summarised(played)
         batch = Batch(static, played.trajectory, played.last_value)
         batch = worlds_trained(batch, num_groups, config.num_trained_envs // config.rollout.num_groups)
         is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.slots)
@@ -213,11 +208,6 @@ def worlds_trained(batch: Batch, num_groups: int, num_trained: int) -> Batch:
         jax.tree.map(lambda x: x[:, world], batch.trajectory),
         batch.last_value[world],
     )
-
-
-def _holds(number: Array, share: float) -> Array:
-    """[W] bool: a share of the worlds of each group, by their numbers in it, spread evenly over it."""
-    return jnp.floor((number + 1) * share) > jnp.floor(number * share)
 
 
 def sums_of(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str, Any]:
