@@ -23,7 +23,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 help:
-	@echo "make train         install, then the main job: a small pretraining run on CPU, minutes"
+	@echo "make train         install, then pretrain, fine-tune and draw on two CPU cores, minutes"
 	@echo "make test          install, then lint, types and tests        (test-long, test-slow, test-gpu: the rest)"
 	@echo "make test-newer-jax  tests that lean on JAX most, under Python 3.12 and its newer JAX, on two virtual devices"
 	@echo "make test-faults   install, then the slow tests of runs: losses at random times, stops, kills; all on the CPU"
@@ -45,7 +45,7 @@ $(STAMP): requirements.lock pyproject.toml .ci/install
 	@touch "$(STAMP)"
 
 train: $(STAMP)
-	$(BIN)/kinetix-dist train --recipe quickstart $(TRAIN_ARGS)
+	$(BIN)/kinetix-dist quickstart $(TRAIN_ARGS)
 
 check: $(STAMP)
 	$(BIN)/ruff check .

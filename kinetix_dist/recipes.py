@@ -53,13 +53,29 @@ def quickstart() -> TrainConfig:
             generator=GeneratorConfig(varied_share=0.5),
         ),
         rollout=RolloutConfig(num_envs=256, num_steps=64, num_groups=8),
-        evaluation=EvaluationConfig(sets=("random_s", "designed_s"), attempts=4, min_attempts=400),
+        # Levels like those of training, and of these such as random actions rarely solve.
+        evaluation=EvaluationConfig(sets=("random_s", "frontier_s"), attempts=4, min_attempts=400),
         recording=RecordingConfig(num_rollouts=8),
         # Training waits for the curator here, and the program that plays them takes several seconds to compile.
         curriculum_log=CurriculumLogConfig(probe_levels=0),
         run=RunConfig(
-            name="quickstart", total_env_steps=1_700_000, placement="local", device="cpu", checkpoint_every=20
+            name="quickstart", total_env_steps=1_000_000, placement="local", device="cpu", checkpoint_every=20
         ),
+    )
+
+
+def quickstart_finetune() -> TrainConfig:
+    """One hand-made S level after another, for `finetune --each` from a policy of `quickstart` or from scratch.
+
+    A quarter of its worlds, half of its minibatch: all worlds show the same level, and smaller updates are enough."""
+    base = quickstart()
+    return dataclasses.replace(
+        base,
+        ppo=dataclasses.replace(base.ppo, minibatches=4),
+        curriculum=CurriculumConfig(name="fixed", levels="quickstart_s"),
+        rollout=dataclasses.replace(base.rollout, num_envs=64),
+        evaluation=EvaluationConfig(sets=("quickstart_s",), attempts=1, min_attempts=100, every=1),
+        run=dataclasses.replace(base.run, name="quickstart_finetune", total_env_steps=200_000),
     )
 
 
@@ -238,7 +254,7 @@ def pretrain_all() -> TrainConfig:
 
 
 RECIPES: dict[str, Callable[[], TrainConfig]] = {
-    **{function.__name__: function for function in (quickstart, single_level)},
+    **{function.__name__: function for function in (quickstart, quickstart_finetune, single_level)},
     **{f"{name}_{size}": functools.partial(_paper, name, size) for name in _CURRICULA for size in "sml"},
     **{f"pretrain_{size}": functools.partial(_pretrain, size) for size in "sml"},
     "pretrain_all": pretrain_all,

@@ -3,6 +3,7 @@
     kinetix-dist finetune --from generalist --levels designed_s                    one policy for all of them
     kinetix-dist finetune --from generalist --levels designed_s --each             one per level
     kinetix-dist finetune --from generalist --levels designed_s --each --compare   and from scratch, with a picture
+    kinetix-dist finetune --from generalist --levels designed_s --each --gif after.gif   and how they play
     kinetix-dist finetune --levels designed_s --each                               from scratch alone
 
 Network and environment are those of the policy, everything else is a recipe's; all options of `train` override it.
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kinetix_dist.cli import train
+from kinetix_dist.cli.checks import check_output_file
 from kinetix_dist.cli.option_help import wants_help
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, one_line, user_errors
@@ -42,7 +44,8 @@ USAGE = f"""usage: {PROG} --levels SET [--from CKPT] [--each [--compare]] [optio
                   runs/finetune-SET), and the same command goes on where it was stopped
   --compare       with --each and --from: specialists from scratch too
   --stop-at RATE  with --each: a specialist ends at the first evaluation that solves this share (default: none)
-  --draw DIR      only draw the picture again, from the results stored there
+  --gif FILE      with --each: a moving picture, each level before training on it and after
+  --draw DIR      only draw the picture again, from the results stored there; with --gif, the moving one too
 
 """
 
@@ -57,6 +60,8 @@ class Args:
     has_size: bool = False  # whether env.size was given
     stop_at: float = 0.0
     draw: Path | None = None
+    gif: Path | None = None
+    go_on: str = "the same command goes on"  # what a person is told where the command is stopped
 
 
 def parse(argv: Sequence[str]) -> Args:
@@ -68,6 +73,7 @@ def parse(argv: Sequence[str]) -> Args:
     own.add_argument("--compare", action="store_true")
     own.add_argument("--stop-at", type=float)
     own.add_argument("--draw", type=Path)
+    own.add_argument("--gif", type=Path)
     try:
         known, rest = own.parse_known_args(list(argv))
     except argparse.ArgumentError as error:
@@ -76,12 +82,13 @@ def parse(argv: Sequence[str]) -> Args:
         print(USAGE)
         train.parse(rest, prog=PROG, default_recipe=DEFAULT_RECIPE)  # prints what there is and ends
     if known.draw is not None:
-        if len(argv) > 2:
-            raise UserError("--draw takes the directory of the results and no other option")
-        return Args(train=None, draw=known.draw)
+        if rest or any(value for name, value in vars(known).items() if name not in ("draw", "gif")):
+            raise UserError("--draw takes the directory of the results, and no other option than --gif")
+        _check_gif(known.gif)
+        return Args(train=None, draw=known.draw, gif=known.gif)
     if "--resume" in rest:
-        if known.levels or known.start or known.each:
-            raise UserError("--resume goes on with a run as it is; leave --levels, --from and --each out")
+        if known.levels or known.start or known.each or known.gif:
+            raise UserError("--resume goes on with a run as it is; leave --levels, --from, --each and --gif out")
         return Args(train=train.parse(rest, prog=PROG))
     return _parse_new(known, rest)
 
@@ -112,7 +119,9 @@ def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
         raise UserError(f"curriculum.name is {name!r}, but finetune trains on --levels: {CURRICULUM!r}; leave it out")
     has_size = any(word.split("=")[0] == "--env.size" for word in rest)
     starts = (SCRATCH, start) if known.compare else (start,)
-    return Args(train=args, starts=starts, each=known.each, has_size=has_size, stop_at=known.stop_at or 0.0)
+    return Args(
+        train=args, starts=starts, each=known.each, has_size=has_size, stop_at=known.stop_at or 0.0, gif=known.gif
+    )
 
 
 def _check(known: argparse.Namespace) -> None:
@@ -126,11 +135,22 @@ def _check(known: argparse.Namespace) -> None:
         raise UserError("--stop-at is when a specialist ends; give --each too")
     if known.stop_at is not None and not 0.0 < known.stop_at <= 1.0:
         raise UserError(f"--stop-at is {known.stop_at}; give a solve rate above 0, at most 1")
+    if known.gif is not None and not known.each:
+        raise UserError("--gif shows specialists; give --each too, or --record to `kinetix-dist eval` for a run")
+    _check_gif(known.gif)
+
+
+def _check_gif(file: Path | None) -> None:
+    if file is None:
+        return
+    if file.suffix.lower() != ".gif":
+        raise UserError(f"--gif is {str(file)!r}; name a file that ends in .gif")
+    check_output_file(file, "--gif")
 
 
 def run(args: Args) -> int:
     if args.draw is not None:
-        return _show(args.draw)
+        return _draw(args.draw, args.gif)
     assert args.train is not None
     if args.train.resume:
         return train.run(args.train)
@@ -177,21 +197,45 @@ def _each(args: Args, config: TrainConfig) -> int:
         try:
             train_each(config, args.starts, path, stop_at=args.stop_at, report=lambda line: print(line, flush=True))
         except StopRequested:
-            say(f"kinetix-dist: stopped by {stop.requested}; the same command goes on", sys.stderr)
+            say(f"kinetix-dist: stopped by {stop.requested}; {args.go_on}", sys.stderr)
             return EXIT_STOPPED
-    return _show(path)
+    return _show(path, args.gif, start=args.starts[-1].name)
 
 
-def _show(path: Path) -> int:
-    """The table and the picture of what is stored."""
+def _draw(path: Path, gif: Path | None) -> int:
+    if gif is not None:
+        from kinetix_dist.cli.checks import start_computing
+
+        start_computing()
+    return _show(path, gif)
+
+
+def _show(path: Path, gif: Path | None, *, start: str | None = None) -> int:
+    """Prints what is stored as a table and in words, and draws it. start: of those in the GIF; None: the last."""
+    from kinetix_dist.finetune.comparison import comparison
     from kinetix_dist.finetune.results import draw, read_results
+    from kinetix_dist.finetune.specialists import FROM_SCRATCH
 
     records = read_results(path)
-    say(_table(records), sys.stdout)
+    lines = comparison([record for record in records if start is None or record["start"] in (start, FROM_SCRATCH)])
+    say("\n".join((_table(records), *lines)), sys.stdout)
     with user_errors(OSError, prefix="the picture cannot be written: "):
         draw(records, path / PICTURE_NAME)
     print(f"picture  {path / PICTURE_NAME}")
+    if gif is not None:
+        start = start or records[-1]["start"]
+        _write_gif(gif, path, [record for record in records if record["start"] == start])
     return 0
+
+
+def _write_gif(file: Path, path: Path, records: Sequence[Record]) -> None:
+    from kinetix_dist.finetune.moving_picture import MAX_LEVELS, play_specialists, write_moving_picture
+
+    scenes = play_specialists(path, records)
+    with user_errors(OSError, prefix=f"{file} cannot be written: "):
+        write_moving_picture(file, scenes)
+    some = f" (the first {MAX_LEVELS} of {len(records)} levels)" if len(records) > MAX_LEVELS else ""
+    print(f"gif      {file}{some}")
 
 
 def _table(records: Sequence[Record]) -> str:

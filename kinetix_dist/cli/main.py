@@ -36,6 +36,7 @@ __all__ = ["COMMANDS", "main", "parse_args"]
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, what shells report
 
 COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
+    "quickstart": ("kinetix_dist.cli.quickstart", "train, fine-tune and draw on two CPU cores, in minutes"),
     "train": ("kinetix_dist.cli.train", "pretrain a policy; writes a run directory, --resume goes on with it"),
     "sweep": ("kinetix_dist.cli.sweep", "train the arms of a design, and say what each factor is worth"),
     "finetune": ("kinetix_dist.cli.finetune", "train on a level set from a policy, or one policy for each level"),
@@ -56,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         prepare_streams()
     status = _run(list(sys.argv[1:] if argv is None else argv))
     # Others may have more to say than a slow reader has taken so far.
-    if argv is None and sys.argv[1:2] in (["train"], ["finetune"]):
+    if argv is None and sys.argv[1:2] in (["quickstart"], ["train"], ["finetune"]):
         exit_now_if_blocked(status)
     return status
 

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from kinetix_dist.level.level import Level
     from kinetix_dist.telemetry.recording import Rollout
 
-PIXELS_OF_GRID = 1200.0  # width of a grid; one level is drawn with 100 pixels a metre, of a GIF 60
-LEVEL_WIDTH_M = 5.3
+START_SCALE, ROLLOUT_SCALE = 100.0, 60.0  # pixels per metre of one level; those of a grid are smaller
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,18 +142,15 @@ def _columns(args: Render, number: int) -> int:
     return min(number, args.columns or math.ceil(math.sqrt(1.3 * number)))
 
 
-def _pixels_per_metre(args: Render, number: int, *, of_one: float) -> float:
-    return min(of_one, PIXELS_OF_GRID / (_columns(args, number) * LEVEL_WIDTH_M))
-
-
 def _draw_starts(args: Render) -> None:
     from jax2d.draw import draw
     from jax2d.images import film_strip, write_png
     from jax2d.scene import index_worlds
     from kinetix_dist.level.simulation import start_state
+    from kinetix_dist.telemetry.pictures import grid_scale
 
     levels, names = _levels(args)
-    scale = _pixels_per_metre(args, len(names), of_one=100.0)
+    scale = grid_scale(_columns(args, len(names)), of_one=START_SCALE)
     singles = [index_worlds(levels, number) for number in range(len(names))]
     images = [
         draw(level.scene, start_state(level), roles=level.shape_role, pixels_per_metre=scale) for level in singles
@@ -165,11 +161,17 @@ def _draw_starts(args: Render) -> None:
 
 def _draw_rollouts(args: Render, rollouts: list[Rollout]) -> None:
     from jax2d.images import write_png
-    from kinetix_dist.telemetry.pictures import grid_picture, write_grid_gif, write_rollout_gif, write_rollout_picture
+    from kinetix_dist.telemetry.pictures import (
+        grid_picture,
+        grid_scale,
+        write_grid_gif,
+        write_rollout_gif,
+        write_rollout_picture,
+    )
 
     number = len(rollouts)
     if args.out.suffix.lower() == ".gif":
-        scale = _pixels_per_metre(args, number, of_one=60.0)
+        scale = grid_scale(_columns(args, number), of_one=ROLLOUT_SCALE)
         if number == 1:
             write_rollout_gif(args.out, rollouts[0], pixels_per_metre=scale)
         else:
@@ -177,7 +179,7 @@ def _draw_rollouts(args: Render, rollouts: list[Rollout]) -> None:
     elif number == 1:
         write_rollout_picture(args.out, rollouts[0])
     else:
-        scale = _pixels_per_metre(args, number, of_one=60.0)
+        scale = grid_scale(_columns(args, number), of_one=ROLLOUT_SCALE)
         longest = max(rollout.num_steps for rollout in rollouts)
         picture = grid_picture(rollouts, longest, pixels_per_metre=scale, columns=_columns(args, number))
         write_png(args.out, picture)

@@ -156,25 +156,30 @@ def _listed(option: str, text: str) -> list[str]:
 
 
 def run(args: Args) -> int:
+    status, _ = run_in(args)
+    return status
+
+
+def run_in(args: Args) -> tuple[int, Path | None]:
+    """Exit status, and the directory of the run where it came to its end."""
     from kinetix_dist.runtime import EXIT_STOPPED, RunFailedError, StoppedError, StopRequested, StopSignals
 
     hint = "; go on with --resume"
     with StopSignals(limit_s=args.config.run.stop_seconds, hint=hint) as stop:
         try:
-            _run(args, stop)
-            return 0
+            return 0, _run(args, stop)
         except RunFailedError as error:
             say(f"kinetix-dist: {one_line(error)}", sys.stderr)
-            return 1
+            return 1, None
         except StoppedError as error:
             say(f"kinetix-dist: {one_line(error)}", sys.stderr)
-            return EXIT_STOPPED
+            return EXIT_STOPPED, None
         except StopRequested:
             say(f"kinetix-dist: stopped by {stop.requested} before the run began", sys.stderr)
-            return EXIT_STOPPED
+            return EXIT_STOPPED, None
 
 
-def _run(args: Args, stop: StopSignals) -> None:
+def _run(args: Args, stop: StopSignals) -> Path:
     from kinetix_dist.checkpoint import CheckpointError
     from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.env.device_memory import DeviceMemoryError
@@ -196,7 +201,8 @@ def _run(args: Args, stop: StopSignals) -> None:
 
     config = args.config
     if args.resume and _is_finished(args):
-        return
+        assert args.run is not None
+        return args.run
     if "RAY_ADDRESS" not in os.environ or config.run.placement == "local":
         with user_errors(PlacementError):  # before a directory is made; a cluster is checked when it is connected
             resolve_device(config.run.device, num_gpus=count_gpus())
@@ -232,6 +238,7 @@ def _run(args: Args, stop: StopSignals) -> None:
         ):
             report = train(config, directory, resume=args.resume, stop=stop, fork_server=fork_server)
         _print_report(report, directory.path, config.run)
+        return directory.path
     finally:
         if directory is not None:
             directory.close()

@@ -18,6 +18,8 @@ from kinetix_dist.telemetry.recording import Rollout
 DEFAULT_MOMENTS = 5
 GIF_FRAME_S = 1 / 15
 GIF_LAST_FRAME_S = 1.0  # the outcome stays to be seen
+GRID_WIDTH_PX = 1200.0
+LEVEL_WIDTH_M = 5.3
 
 
 def rollout_picture(
@@ -59,6 +61,11 @@ def write_rollout_gif(path: str | os.PathLike[str], rollout: Rollout, *, pixels_
     moments, seconds = _gif_moments(rollout)
     images = [moment_picture(rollout, int(k), pixels_per_metre=pixels_per_metre) for k in moments]
     write_gif(path, images, seconds=seconds)
+
+
+def grid_scale(columns: int, *, of_one: float) -> float:
+    """Pixels per metre of a grid that is not wider than `GRID_WIDTH_PX`; `of_one`: at most so many."""
+    return min(of_one, GRID_WIDTH_PX / (columns * LEVEL_WIDTH_M))
 
 
 def grid_picture(rollouts: Sequence[Rollout], state: int, *, pixels_per_metre: float, columns: int) -> np.ndarray:

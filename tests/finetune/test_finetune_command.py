@@ -115,6 +115,11 @@ def test_what_cannot_be_is_one_line(
         (("--phases", "phases.toml"), "phases are of runs"),
         (("--run.placement", "colocated"), "run.placement is 'colocated'"),
         (("--stop-at", "1.5"), "--stop-at is 1.5"),
+        (("--gif", "after.png"), "--gif is 'after.png'; name a file that ends in .gif"),
+        (
+            ("--gif", "nowhere/after.gif"),
+            "cannot write nowhere/after.gif; give --gif a file in a directory that exists",
+        ),
         (("--curriculum.name", "plr", "--curriculum.levels", ""), "curriculum.name is 'plr'"),
         (("--run", "a_run"), "a_run holds a run"),
         (("--from", "generalist", "--run.start_optimizer", "True"), "run.start_optimizer is True"),
@@ -127,6 +132,12 @@ def test_what_specialists_do_not_have_is_one_line(
     (tmp_path / "a_run" / "config.json").write_text("{}")
     (tmp_path / "phases.toml").write_text("[[phases]]\nstart = 1000000\nclip = 0.1\n")
     assert message in _refusal(capsys, "--levels", str(levels), "--each", *OPTIONS, *options)
+
+
+def test_a_moving_picture_is_of_specialists(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--gif shows specialists; give --each too" in _refusal(capsys, "--levels", "designed_s", "--gif", "a.gif")
+    assert "cannot write nowhere/a.gif" in _refusal(capsys, "--draw", "results", "--gif", "nowhere/a.gif")
+    assert "results holds no results of specialists" in _refusal(capsys, "--draw", "results", "--gif", "a.gif")
 
 
 def test_a_directory_without_results_cannot_be_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
