@@ -33,7 +33,9 @@ def test_the_wheel_has_every_file_of_the_packages_and_the_data() -> None:
 
     in_wheel = {file.distribution_path for file in WheelBuilder(str(REPOSITORY)).recurse_included_files()}
     packages = set(files_below("jax2d", "kinetix_dist"))
-    data = {f"kinetix_dist/data/{name}" for name in files_below("levels", "pretrained/generalist", "pretrained/random_only")}
+    data = {
+        f"kinetix_dist/data/{name}" for name in files_below("levels", "pretrained/generalist", "pretrained/random_only")
+    }
     assert in_wheel == packages | data
     assert {
         "jax2d/warp/native/step.h",
