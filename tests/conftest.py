@@ -92,6 +92,7 @@ LONGEST_FILES = (
     "test_phases.py",
     "test_cuda_kernels.py",
     "test_generator_program.py",
+    "test_small_studies.py",
 )
 
 

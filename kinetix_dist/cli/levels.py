@@ -89,7 +89,7 @@ def run(args: Any) -> int:
 
 
 def _list(args: List) -> None:
-    from kinetix_dist.level.sets import HELD_OUT_LEVELS, RANDOM_SETS, designed_sets, files_of_set
+    from kinetix_dist.level.sets import RANDOM_SETS, designed_sets, files_of_set
 
     if args.set is None:
         rows = [
@@ -99,7 +99,7 @@ def _list(args: List) -> None:
         rows += [
             {
                 "set": name,
-                "levels": HELD_OUT_LEVELS,
+                "levels": drawn.num_levels,
                 "description": f"Random levels of size {drawn.size.upper()} that training never draws, generator "
                 f"{drawn.generator!r}",
             }

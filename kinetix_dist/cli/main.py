@@ -39,6 +39,7 @@ COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
     "quickstart": ("kinetix_dist.cli.quickstart", "train, fine-tune and draw on two CPU cores, in minutes"),
     "train": ("kinetix_dist.cli.train", "pretrain a policy; writes a run directory, --resume goes on with it"),
     "sweep": ("kinetix_dist.cli.sweep", "train the arms of a design, and say what each factor is worth"),
+    "study": ("kinetix_dist.cli.study", "answer a question by trained arms: table, figure and text with intervals"),
     "finetune": ("kinetix_dist.cli.finetune", "train on a level set from a policy, or one policy for each level"),
     "eval": ("kinetix_dist.cli.eval_command", "solve rates of a run or a checkpoint on a set of levels"),
     "import-checkpoint": ("kinetix_dist.cli.import_checkpoint", "a policy of the public package as a checkpoint"),

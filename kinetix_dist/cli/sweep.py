@@ -6,19 +6,18 @@ The same command goes on where it stopped. docs/sweeps.md describes designs and 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
-import os
 import shlex
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from kinetix_dist.cli.streams import say
 from kinetix_dist.cli.sweep_tables import arms_table, console, effects_table, print_aliases, scores_table
-from kinetix_dist.errors import UserError, user_errors
+from kinetix_dist.cli.worker_slots import check_machine, planned_slots, slots_for, train_in_time
+from kinetix_dist.errors import user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.sweep.arms import Run
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
 RUNS = Path("runs")
 PICTURE = "sweep.png"
-PATIENCE_S = 30.0  # beyond the time that runs have to stop, for results to be written
+OPTION = "--slots"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,62 +49,19 @@ class Args:
 def run(args: Args) -> int:
     from kinetix_dist.sweep.arms import hash_of, runs_of
     from kinetix_dist.sweep.design import DesignError, read_design
-    from kinetix_dist.sweep.driver import check_design
-    from kinetix_dist.sweep.slots import Slot
+    from kinetix_dist.sweep.results_directory import check_design
 
-    if args.minutes is not None and not args.minutes > 0:
-        raise UserError(f"--minutes is {args.minutes:g}; give a number above 0")
-    if args.slots < 0:
-        raise UserError(f"--slots is {args.slots}; give a number of 1 or more, or 0")
-    if sys.platform != "linux":
-        raise UserError(f"a sweep holds its runs to worker slots by means of Linux; this is {sys.platform}")
+    check_machine(args.minutes, args.slots, OPTION)
     with user_errors(DesignError):
         design = read_design(args.design)
     with user_errors(DesignError, prefix=f"{args.design}: "):
         runs = runs_of(design)
     path = args.out or RUNS / design.name
     check_design(path, hash_of(design, runs))
-    if not args.plan:
-        return _train(args, design, runs, _slots(runs, args.slots), path)
-    try:
-        return _print_plan(args, design, runs, _slots(runs, args.slots), path)
-    except _TooFewDevicesError as error:
-        if not args.slots:
-            raise UserError(f"{error}; --slots N plans for N of them") from error
-        slots = [Slot(name=f"gpu {number}", gpu=str(number)) for number in range(args.slots)]
-        return _print_plan(args, design, runs, slots, path, missing=str(error))
-
-
-class _TooFewDevicesError(UserError):
-    """Devices are missing on this machine, or are not free now."""
-
-
-def _slots(runs: list[Run], requested: int) -> list[Slot]:
-    """Raises UserError for arms that cannot run in any slot, then _TooFewDevicesError."""
-    from kinetix_dist.runtime import PlacementError, count_gpus, plan_placement, resolve_device
-    from kinetix_dist.sweep.slots import cpu_slots, gpu_slots
-
-    if "RAY_ADDRESS" in os.environ:
-        raise UserError("RAY_ADDRESS is set, but arms run on this machine, each in a Ray of its own; unset it")
-    num_gpus = count_gpus()
-    devices = set()
-    for one in runs:
-        with user_errors(PlacementError, ValueError, prefix=f"arm {one.arm.name}: "):
-            # A slot has one GPU; the check that there is any comes below.
-            device = resolve_device(one.config.run.device, num_gpus=max(num_gpus, one.config.run.device == "gpu"))
-            devices.add(device)
-            if one.config.run.placement != "local":
-                plan_placement(one.config, num_gpus=int(device == "gpu"))
-    if len(devices) > 1:
-        raise UserError("some arms run on GPUs and some on CPUs; give all the same run.device")
-    if devices == {"cpu"}:
-        return cpu_slots(requested)
-    if not num_gpus:
-        raise _TooFewDevicesError("arms are to run on GPUs (run.device), but no GPU is visible here")
-    try:
-        return gpu_slots(requested)
-    except UserError as error:
-        raise _TooFewDevicesError(str(error)) from error
+    if args.plan:
+        slots, missing = planned_slots(runs, args.slots, OPTION)
+        return _print_plan(args, design, runs, slots, path, missing=missing)
+    return _train(args, design, runs, slots_for(runs, args.slots, OPTION), path)
 
 
 def _print_plan(
@@ -113,7 +69,7 @@ def _print_plan(
 ) -> int:
     """missing: why these slots are not there."""
     from kinetix_dist.sweep.arms import hash_of
-    from kinetix_dist.sweep.driver import done_so_far
+    from kinetix_dist.sweep.results_directory import done_so_far
     from kinetix_dist.sweep.rungs import check_fits, predicted_seconds, stage_sizes
 
     screen = console()
@@ -139,39 +95,21 @@ def _print_plan(
 
 
 def _train(args: Args, design: Design, runs: list[Run], slots: list[Slot], path: Path) -> int:
-    from kinetix_dist.runtime import EXIT_STOPPED, StopSignals
-    from kinetix_dist.sweep.driver import RunsFailedError, Sweep, SweepStoppedError, done_so_far, seconds_to_stop
+    from kinetix_dist.sweep.driver import Sweep
+    from kinetix_dist.sweep.results_directory import done_so_far
     from kinetix_dist.sweep.rungs import check_fits
 
     began = time.monotonic()
     if args.minutes is not None:  # before a directory is made
         check_fits(design, done_so_far(path, runs), len(slots), args.minutes)
     sweep = Sweep(design, runs, path)
-    hint = "; the same command goes on"
-    # A second signal ends this process at once, and its runs by the signal that they get then.
-    with StopSignals(limit_s=seconds_to_stop(runs) + PATIENCE_S, hint=hint) as stop, stop.deferred():
-
-        def must_stop() -> str | None:
-            if stop.requested is not None:
-                return f"stopped by {stop.requested}"
-            is_over = args.minutes is not None and time.monotonic() - began > 60 * args.minutes
-            return f"stopped after {args.minutes:g} minutes" if is_over else None
-
-        print(f"sweep {path}  hash {sweep.hash}  slots {', '.join(slot.name for slot in slots)}", flush=True)
-        print(f"watch it   kinetix-dist dashboard {shlex.quote(str(path / 'arms'))}", flush=True)
-        status = 0
-        try:
-            sweep.train(slots, report=_print_line, must_stop=must_stop)
-        except SweepStoppedError as error:
-            say(f"kinetix-dist: {error}{hint}", sys.stderr)
-            status = EXIT_STOPPED
-        except RunsFailedError as error:
-            say(f"kinetix-dist: {error}{hint} with these", sys.stderr)
-            status = 1
-        finally:
-            sweep.close()
-        _report(sweep)
-    return status
+    print(f"sweep {path}  hash {sweep.hash}  slots {', '.join(slot.name for slot in slots)}", flush=True)
+    print(f"watch it   kinetix-dist dashboard {shlex.quote(str(path / 'arms'))}", flush=True)
+    try:
+        train, finish = functools.partial(sweep.train, slots), functools.partial(_report, sweep)
+        return train_in_time(train, runs, args.minutes, began, finish)
+    finally:
+        sweep.close()
 
 
 def _report(sweep: Sweep) -> None:
@@ -188,7 +126,3 @@ def _report(sweep: Sweep) -> None:
     if found["arms"]:
         draw(found, sweep.path / PICTURE)
         print(f"written    {sweep.path / RESULTS}, {sweep.path / PICTURE}")
-
-
-def _print_line(line: str) -> None:
-    print(time.strftime("%H:%M:%S"), line, flush=True)

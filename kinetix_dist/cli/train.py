@@ -298,16 +298,17 @@ def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
 def _check_levels(config: TrainConfig) -> None:
     """Loads the level files of training and evaluation, so that a wrong name or file is found at once. Sets that are
     drawn need their size alone to be right, and drawing them takes seconds."""
+    from kinetix_dist.evaluation.evaluation_sets import check_evaluation_sets
     from kinetix_dist.level.level import SIZES
     from kinetix_dist.level.sets import load_level_set, size_of_drawn_set
 
-    order = list(SIZES)
-    for name in filter(None, (*config.evaluation.sets, config.curriculum.levels)):
-        size = size_of_drawn_set(name)
-        if size is None:
-            load_level_set(name, config.env.size)
-        elif order.index(size) > order.index(config.env.size):
-            raise ValueError(f"level set {name!r} does not fit size {config.env.size!r}; choose a larger env.size")
+    check_evaluation_sets(config.evaluation.sets, config.env.size, config.policy.network)
+    order, name = list(SIZES), config.curriculum.levels
+    size = size_of_drawn_set(name) if name else config.env.size
+    if size is None:
+        load_level_set(name, config.env.size)
+    elif order.index(size) > order.index(config.env.size):
+        raise ValueError(f"level set {name!r} does not fit size {config.env.size!r}; choose a larger env.size")
 
 
 def _open(args: Args) -> RunDirectory:

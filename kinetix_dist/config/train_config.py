@@ -141,6 +141,8 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     for section in OWN_SECTIONS:
         if section not in config.curriculum_class.sections:
             del counted["curriculum"][section]
+    if config.curriculum.filter_noop:  # as in runs from before this setting, which go on
+        del counted["curriculum"]["filter_noop"]
     run = {"seed": config.run.seed, "policy_lag": config.run.policy_lag}
     run |= {"start_from": config.run.start_from, "start_optimizer": config.run.start_optimizer}
     return counted | {"phases": sections["phases"], "run": run}

@@ -5,8 +5,8 @@ this update, each after `accel.num_changes` random mutators. Children are scored
 sees of them, and give no gradient; those that score higher than others in the buffer take their slots. So levels grow
 from simple ones at the frontier of what the policy can do.
 
-Children are drawn as fresh levels are: twice as many as are played, those that solve themselves left out. While the
-buffer is empty they are children of fresh levels.
+Children are drawn as fresh levels are: twice as many as are played, those that solve themselves left out, unless
+`curriculum.filter_noop` is off. While the buffer is empty they are children of fresh levels.
 
 Departures from the paper: parents are the levels that are drawn for replay, not the easiest of a batch; and fresh
 levels are drawn throughout (in the paper they only fill the buffer at first).
@@ -49,15 +49,18 @@ class Accel(RobustPlr):
 
     def new_levels(self, group_keys: Array, replayed: Level, fresh: Level) -> Level:
         num_edited, num_groups = _num_edited(self.tools.config, self.tools.worlds_per_group), group_keys.shape[0]
-        num_drawn = OVERSAMPLING * num_edited
+        is_filtered = self.tools.config.filter_noop
+        num_drawn = (OVERSAMPLING if is_filtered else 1) * num_edited
         parents = jax.tree.map(lambda x: x[:, jnp.arange(num_drawn) % x.shape[1]], replayed)
         keys = jax.vmap(lambda key: prng.split(prng.fold_in(key, 2), num_drawn))(group_keys)
         # All groups are played together: one large batch instead of a few small ones.
         flat = jax.tree.map(lambda x: x.reshape(num_groups * num_drawn, *x.shape[2:]), parents)
         drawn = self.tools.edit(keys.reshape(-1), flat)
-        is_trivial = self.tools.solves_itself(drawn).reshape(num_groups, num_drawn)
-        keep = jax.vmap(lambda levels, trivial: keep_unsolved(levels, trivial, num_edited))
-        children = keep(by_group(drawn, num_groups), is_trivial)
+        children = by_group(drawn, num_groups)
+        if is_filtered:
+            is_trivial = self.tools.solves_itself(drawn).reshape(num_groups, num_drawn)
+            keep = jax.vmap(lambda levels, trivial: keep_unsolved(levels, trivial, num_edited))
+            children = keep(children, is_trivial)
         return jax.tree.map(lambda *xs: jnp.concatenate(xs, axis=1), children, fresh)
 
     def new_sources(self, num_groups: int) -> Array:

@@ -121,6 +121,7 @@ class CurriculumConfig:
     adopt_after: int = setting(4, minimum=1)  # updates from the request of a refresh to its adoption
     buffer_size: int = setting(1024, minimum=1)  # K, levels stored
     buffer_share: float = 0.5  # rho, share of the worlds that play levels of the buffer
+    filter_noop: bool = True  # random levels that solve themselves without any action are dropped (paper, section 4)
     sizes: tuple[tuple[str, float], ...] = ()  # weights of sizes among levels drawn; (): all are of env.size
     plr: PlrConfig = dataclasses.field(default_factory=PlrConfig)
     accel: AccelConfig = dataclasses.field(default_factory=AccelConfig)

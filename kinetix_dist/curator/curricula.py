@@ -45,6 +45,11 @@ def curriculum_class(config: CurriculumConfig, worlds_per_group: int) -> type[Cu
             f"{', '.join(repr(name) for name in CURRICULA if CURRICULA[name].takes_levels)} and for no other"
         )
     kind.check(config, worlds_per_group)
+    if not (config.filter_noop or kind.draws_levels):
+        raise ValueError(
+            f"CurriculumConfig.filter_noop is False, but curriculum {config.name!r} draws no random levels, of which "
+            "any would be filtered; leave it out"
+        )
     if config.sizes:
         if not kind.draws_levels:
             raise ValueError(

@@ -67,13 +67,14 @@ class CurriculumTools:
     devices: Sequence[Any] = dataclasses.field(default_factory=jax.local_devices)  # for `refresh`, of this process
 
     def draw_fresh(self, group_keys: Array, levels_per_group: int) -> Level:
-        """[groups * levels_per_group] random levels, group by group, without those that solve themselves."""
+        """[groups * levels_per_group] random levels, group by group; with `filter_noop` without those that solve
+        themselves."""
         return fresh_levels(
             group_keys,
             levels_per_group,
             capacity=self.capacity,
             generator=self.config.generator,
-            solves_itself=self.solves_itself,
+            solves_itself=self.solves_itself if self.config.filter_noop else None,
             sizes=self.config.sizes,
         )
 

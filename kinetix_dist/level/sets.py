@@ -4,9 +4,10 @@
 
 A name is a designed set of levels/sets.toml, one designed level ("hop_home" or "s/hop_home"), a held-out random set
 ("random_s" to "random_l", with the distribution of the public Kinetix package "kinetix_s" to "kinetix_l", and cars,
-walkers, unicycles and arms "locomotion_s" to "locomotion_l", families of mechanisms "tasks_s" to "tasks_l"), a set to
-develop with ("dev_random_s", "dev_designed_s", "frontier_s" and so on), or a file or directory of level files, ours or
-of the public package.
+walkers, unicycles and arms "locomotion_s" to "locomotion_l", families of mechanisms "tasks_s" to "tasks_l", and 1,000
+levels that begin with those of "random_s" and so on "random_1000_s" to "random_1000_l"), a set to develop with
+("dev_random_s", "dev_designed_s", "frontier_s" and so on), or a file or directory of level files, ours or of the public
+package.
 
 Published results are measured on held-out and designed sets. Settings, recipes and networks are chosen on sets to
 develop with, which share no random level with them, so that published results have no selection bias.
@@ -44,6 +45,7 @@ from kinetix_dist.text_files import is_hidden
 
 HELD_OUT_STREAM = 0x48454C44  # "HELD": key of random sets; training folds its own constants into its own seed
 HELD_OUT_LEVELS = 256
+LONG_HELD_OUT_LEVELS = 1000  # as many as the paper has; the first ones are those of the sets of 256
 DEVELOPMENT_STREAM = 0x444556  # "DEV"
 DEVELOPMENT_LEVELS = 2048
 PUBLIC_SOURCE = "public Kinetix level file"  # `source` of such a level, also after `levels import`
@@ -60,25 +62,34 @@ class RandomSet:
     num_levels: int = HELD_OUT_LEVELS
 
 
-RANDOM_SETS = {
-    f"{prefix}_{size}": RandomSet(name=f"{prefix}_{size}", size=size, generator=generator)
-    for prefix, generator in {
-        "random": "default",
-        "kinetix": "kinetix",
-        "locomotion": "locomotion",
-        "tasks": "tasks",
-    }.items()
-    for size in SIZES
-} | {
-    f"dev_random_{size}": RandomSet(
-        name=f"dev_random_{size}",
-        size=size,
-        generator="default",
-        stream=DEVELOPMENT_STREAM,
-        num_levels=DEVELOPMENT_LEVELS,
-    )
-    for size in SIZES
-}
+RANDOM_SETS = (
+    {
+        f"{prefix}_{size}": RandomSet(name=f"{prefix}_{size}", size=size, generator=generator)
+        for prefix, generator in {
+            "random": "default",
+            "kinetix": "kinetix",
+            "locomotion": "locomotion",
+            "tasks": "tasks",
+        }.items()
+        for size in SIZES
+    }
+    | {
+        f"dev_random_{size}": RandomSet(
+            name=f"dev_random_{size}",
+            size=size,
+            generator="default",
+            stream=DEVELOPMENT_STREAM,
+            num_levels=DEVELOPMENT_LEVELS,
+        )
+        for size in SIZES
+    }
+    | {
+        f"random_1000_{size}": RandomSet(
+            name=f"random_1000_{size}", size=size, generator="default", num_levels=LONG_HELD_OUT_LEVELS
+        )
+        for size in SIZES
+    }
+)
 
 
 def development_sets() -> tuple[str, ...]:

@@ -41,6 +41,7 @@ class Network:
     reads_by_colour: bool = False  # whether it has `PolicyConfig.read_out` "colour"
     has_attention: bool = False  # whether it has `PolicyConfig.max_qk_norm`
     has_kernels: bool = False  # whether it has `PolicyConfig.kernels` "fused"
+    plays_all_sizes: bool = False  # whether its parameters fit levels of any size, whichever it was trained on
     sample_bytes: int = 0  # of device memory for a sample of a minibatch, gradients included; 0: too few to count
 
 
@@ -141,7 +142,7 @@ def _cnn(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
     return PixelCnn(**_common(config, head_sizes))
 
 
-_ATTENTION = functools.partial(Network, takes=ENTITIES, has_attention=True)
+_ATTENTION = functools.partial(Network, takes=ENTITIES, has_attention=True, plays_all_sizes=True)
 NETWORKS.register("transformer", _ATTENTION(build=_transformer, reads_by_colour=True, has_kernels=True))
 # Plain residuals for gates: fewer and smaller products, see entity_transformer.py.
 NETWORKS.register(
@@ -149,7 +150,7 @@ NETWORKS.register(
     _ATTENTION(build=functools.partial(_transformer, gated=False), reads_by_colour=True),
 )
 NETWORKS.register("flat", Network(takes=VECTOR, build=_flat))
-NETWORKS.register("cnn", Network(takes=IMAGE, build=_cnn, sample_bytes=SAMPLE_BYTES))
+NETWORKS.register("cnn", Network(takes=IMAGE, build=_cnn, plays_all_sizes=True, sample_bytes=SAMPLE_BYTES))
 # Those of the public package's policies, and of the paper's, in which an error gave all shapes the same number.
 NETWORKS.register(
     "transformer_kinetix",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -112,22 +112,26 @@ def runs_of(design: Design) -> list[Run]:
 
 
 def _run(design: Design, base: TrainConfig, arm: Arm, seed: int) -> Run:
-    options = {
-        **arm.options,
+    forced = {
         "evaluation.sets": list(design.objective.sets),
         "evaluation.every": 0,
         "evaluation.every_seconds": float(design.objective.every_seconds),
         "recording.num_rollouts": 0,
         "recording.every": 0,
         "run.name": design.name,
-        "run.seed": seed,
         "run.total_env_steps": 0,
         "run.max_seconds": MAX_RUN_SECONDS,
     }
+    check_options(arm, base, {name: f"cannot be set in a sweep: {why}" for name, why in SET_BY_SWEEP.items()})
+    return make_run(base, arm, seed, forced)
+
+
+def check_options(arm: Arm, base: TrainConfig, refused: Mapping[str, str]) -> None:
+    """Raises DesignError for an option of an arm that is unknown or `refused`: name -> predicate of the complaint."""
     known = flat(to_dict(base))
     for name in arm.options:
-        if name in SET_BY_SWEEP:
-            raise DesignError(f"option {name} cannot be set in a sweep: {SET_BY_SWEEP[name]}")
+        if name in refused:
+            raise DesignError(f"option {name} {refused[name]}")
         try:
             refuse_old_options({name: arm.options[name]})
         except RenamedSettingError as error:
@@ -135,6 +139,14 @@ def _run(design: Design, base: TrainConfig, arm: Arm, seed: int) -> Run:
         if name not in known:
             hint = did_you_mean(name, known, "`kinetix-dist train --help-all` lists all")
             raise DesignError(f"unknown option {name!r} of arm {arm.name}; {hint}")
+
+
+def make_run(base: TrainConfig, arm: Arm, seed: int, forced: Options) -> Run:
+    """Run of an arm: the recipe `base` with the options of the arm, then those that no arm sets.
+
+    Raises DesignError for values that cannot be used.
+    """
+    options = {**arm.options, **forced, "run.seed": seed}
     try:
         config = from_dict(_with_options(to_dict(base), options))
     except ValueError as error:  # the sections have errors of their own
@@ -174,10 +186,19 @@ def hash_of(design: Design, runs: list[Run]) -> str:
     """16 hexadecimal digits over everything that results depend on. start_seconds is for the plan alone."""
     content = to_dict(dataclasses.replace(design, start_seconds=0.0))
     known: list[Any] = [content, {run.name: run.config.hash for run in runs}]
-    if digests := {name: digest for name in design.objective.sets if (digest := _digest_of_files(name)) is not None}:
+    if digests := digests_of(design.objective.sets):
         known.append(digests)
-    text = json.dumps(known, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return short_hash(known)
+
+
+def short_hash(content: Any) -> str:
+    """16 hexadecimal digits over plain values."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def digests_of(level_sets: Iterable[str]) -> dict[str, str]:
+    """Digest of the level files of each set that has any; those that are drawn have none."""
+    return {name: digest for name in level_sets if (digest := _digest_of_files(name)) is not None}
 
 
 def _digest_of_files(level_set: str) -> str | None:

@@ -44,8 +44,8 @@ class Factor:
     generator: tuple[str, ...] = ()  # basic factors whose product of signs is its level; (): a basic factor
 
     def __post_init__(self) -> None:
-        _check_options(self.low, f"low of factor {self.name}")
-        _check_options(self.high, f"high of factor {self.name}")
+        check_option_names(self.low, f"low of factor {self.name}")
+        check_option_names(self.high, f"high of factor {self.name}")
         if self.low.keys() != self.high.keys() or not self.low:
             raise DesignError(
                 f"factor {self.name} sets {_names(self.low)} at low and {_names(self.high)} at high; set the same"
@@ -65,7 +65,7 @@ class Factorial:
     def __post_init__(self) -> None:
         if len(self.factors) < MIN_FACTORS:
             raise DesignError(f"factorial has {len(self.factors)} factors; give {MIN_FACTORS} or more, or arms")
-        _check_names([factor.name for factor in self.factors], "factor")
+        check_names([factor.name for factor in self.factors], "factor")
         if self.fold_over_seeds and not self.fold_over:
             raise DesignError("factorial has fold_over_seeds but no fold_over; set fold_over = true, or leave them out")
         basic = {factor.name for factor in self.factors if not factor.generator}
@@ -93,7 +93,7 @@ class ArmOptions:
     options: dict[str, Any] = dataclasses.field(default_factory=dict)  # besides those of the design
 
     def __post_init__(self) -> None:
-        _check_options(self.options, f"options of arm {self.name}")
+        check_option_names(self.options, f"options of arm {self.name}")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -168,11 +168,11 @@ class Design:
         if self.format != FORMAT:
             raise DesignError(f"format is {self.format}; this version reads format {FORMAT}")
         check_finite(self)
-        _check_names([self.name], "design")
-        _check_options(self.options, "options")
+        check_names([self.name], "design")
+        check_option_names(self.options, "options")
         if (self.factorial is None) == (not self.arms):
             raise DesignError("give either factorial or arms")
-        _check_names([arm.name for arm in self.arms], "arm")
+        check_names([arm.name for arm in self.arms], "arm")
         if self.halving is not None and not self.arms:
             raise DesignError("halving compares the arms of a list; give arms, not factorial")
         if self.halving is not None and self.seconds:
@@ -218,7 +218,8 @@ def read_design(path: Path) -> Design:
         raise DesignError(f"{path}: {one_line(error)}") from error
 
 
-def _check_names(names: Sequence[str], what: str) -> None:
+def check_names(names: Sequence[str], what: str) -> None:
+    """Raises DesignError for names that are no file names, or stand twice."""
     for name in names:
         if not NAME.fullmatch(name):
             raise DesignError(f"{what} name {name!r} is none; use letters, digits, _, - and .")
@@ -226,7 +227,8 @@ def _check_names(names: Sequence[str], what: str) -> None:
         raise DesignError(f"two of them have the {what} name {twice[0]!r}; change one")
 
 
-def _check_options(options: Any, what: str) -> None:
+def check_option_names(options: Any, what: str) -> None:
+    """Raises DesignError for options that are no table, or have tables in them."""
     if not isinstance(options, Mapping):
         raise DesignError(f"{what} is {options!r}; a table of options is needed")
     for name, value in options.items():

@@ -60,7 +60,7 @@ def predicted_seconds(design: Design, done: Sequence[float], num_slots: int) -> 
         if number:  # those that go on are not known: the longest trained, which they will be
             ordered = sorted(ordered, reverse=True)
         left = [until - seconds for seconds in ordered[:count] if seconds < until]
-        total += _makespan([design.start_seconds + seconds for seconds in left], num_slots)
+        total += makespan([design.start_seconds + seconds for seconds in left], num_slots)
         ordered = [max(seconds, until) for seconds in ordered[:count]]
     return total
 
@@ -104,7 +104,7 @@ def _until(design: Design, last: int) -> Design:
     return dataclasses.replace(design, halving=dataclasses.replace(design.halving, rungs=rungs))
 
 
-def _makespan(seconds: Sequence[float], num_slots: int) -> float:
+def makespan(seconds: Sequence[float], num_slots: int) -> float:
     """Seconds until jobs have ended that begin in their order, each in the first free slot."""
     ends = [0.0] * num_slots
     for job in seconds:

@@ -41,11 +41,11 @@ class Slot:
         return {"CUDA_VISIBLE_DEVICES": "", "JAX_PLATFORMS": "cpu"}
 
 
-def cpu_slots(requested: int) -> list[Slot]:
+def cpu_slots(requested: int, option: str = "--slots") -> list[Slot]:
     """Slots of CPU cores. requested: 0: one with all cores. Raises UserError for more than there are cores."""
     cores = sorted(os.sched_getaffinity(0))
     if requested > len(cores):
-        raise UserError(f"{requested} slots are requested, but this process may use {len(cores)} cores; lower --slots")
+        raise UserError(f"{requested} slots are requested, but this process may use {len(cores)} cores; lower {option}")
     count = requested or 1
     size, more = divmod(len(cores), count)
     slots, first = [], 0
@@ -56,7 +56,7 @@ def cpu_slots(requested: int) -> list[Slot]:
     return slots
 
 
-def gpu_slots(requested: int) -> list[Slot]:
+def gpu_slots(requested: int, option: str = "--slots") -> list[Slot]:
     """Slots of one GPU each. requested: 0: all that are visible and free. Raises UserError where fewer are."""
     named = os.environ.get("CUDA_VISIBLE_DEVICES")
     visible = None if named is None else [name.strip() for name in named.split(",") if name.strip() not in ("", "-1")]
@@ -68,7 +68,7 @@ def gpu_slots(requested: int) -> list[Slot]:
     if not free or requested > len(free):
         what = f"{requested} GPUs are requested" if requested else "a GPU is needed"
         held = f", {', '.join(busy)} in use or not there" if busy else ""
-        less = "lower --slots" if free else "wait for one"
+        less = f"lower {option}" if free else "wait for one"
         raise UserError(f"{what}, but {len(free)} of {len(free) + len(busy)} are free{held}; {less}")
     return [Slot(name=f"gpu {gpu}", gpu=gpu) for gpu in free[: requested or len(free)]]
 

@@ -15,6 +15,7 @@ from tests.helpers import REPOSITORY
 LAYERS = (
     ("__main__",),
     ("cli",),
+    ("study",),
     ("benchmarks", "finetune", "sweep"),
     ("api", "recipes"),
     ("runtime",),

@@ -94,6 +94,14 @@ def test_sets_to_develop_with_share_no_level_with_those_that_are_published() -> 
     assert RANDOM_SETS["dev_random_s"].num_levels == 2048
 
 
+def test_the_long_random_sets_begin_with_the_short_ones() -> None:
+    short, _ = load_level_set("random_s", num_levels=4, noop_outcome_fn=nothing_solved)
+    long, names = load_level_set("random_1000_s", num_levels=8, noop_outcome_fn=nothing_solved)
+    assert names[7] == "random_1000_s_7" and RANDOM_SETS["random_1000_s"].num_levels == 1000
+    for one, other in zip(jax.tree.leaves(short), jax.tree.leaves(long), strict=True):
+        np.testing.assert_allclose(one, other[:4], rtol=2e-5, atol=1e-6)  # programs of other batches round differently
+
+
 def test_variants_of_designed_levels_differ_a_little_and_half_of_them_are_mirrored() -> None:
     plain, stems = load_level_set("all_designed_s")
     levels, names = load_level_set("dev_designed_s")
@@ -131,7 +139,7 @@ def test_a_directory_of_public_levels_is_a_set(public_levels: Path) -> None:
 def test_wrong_names_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(
         ValueError,
-        match=r"unknown level set 'nosuch'; sets are designed_s.*dev_random_l, frontier_s, frontier_m, or give",
+        match=r"unknown level set 'nosuch'; sets are designed_s.*random_1000_l, frontier_s, frontier_m, or give",
     ):
         load_level_set("nosuch")
     for path in ("nosuch.json", "/no/such"):

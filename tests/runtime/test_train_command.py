@@ -19,7 +19,7 @@ from kinetix_dist.config import EvaluationConfig, differences, from_dict, from_d
 from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.env.action_spaces import ACTION_SPACES, MultiDiscrete
 from kinetix_dist.env.env_config import describe
-from kinetix_dist.level import sets
+from kinetix_dist.evaluation import evaluation_sets
 from kinetix_dist.level.generator_config import LOCOMOTION_FAMILIES, GeneratorConfig, generator
 from kinetix_dist.recipes import FAMILY_WEIGHTS, recipe
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
@@ -194,17 +194,19 @@ def test_an_unknown_level_set(capsys, tmp_path):
     line = _refusal(capsys, "--recipe", "tiny", "--run", tmp_path / "run", "--evaluation.sets", "random_xl")
     assert "unknown level set 'random_xl'" in line
     assert not (tmp_path / "run").exists()
-    assert "does not fit size 's'" in _refusal(capsys, "--recipe", "tiny", "--evaluation.sets", "random_l")
-    for name in ("dev_designed_m", "frontier_m"):
-        line = _refusal(capsys, "--recipe", "tiny", "--evaluation.sets", name)
-        assert f"level set {name!r} does not fit size 's'; choose a larger env.size" in line
+    line = _refusal(capsys, "--recipe", "tiny", "--curriculum.name", "fixed", "--curriculum.levels", "random_l")
+    assert "level set 'random_l' does not fit size 's'; choose a larger env.size" in line
+    flat = ("--policy.network", "flat", "--env.observation", "flat")
+    for name in ("random_l", "dev_designed_m", "frontier_m", "designed_l"):
+        line = _refusal(capsys, "--recipe", "tiny", *flat, "--evaluation.sets", name)
+        assert f"level set {name!r} does not fit size 's', and policy.network 'flat' plays levels of the size" in line
     line = _refusal(capsys, "--recipe", "tiny", "--curriculum.name", "fixed", "--curriculum.levels", "nowhere")
     assert "unknown level set 'nowhere'" in line
 
 
 def test_sets_that_are_drawn_are_not_drawn_before_a_run_begins(monkeypatch):
-    loaded = []
-    monkeypatch.setattr(sets, "load_level_set", lambda name, size: loaded.append(name))
+    loaded, load = [], evaluation_sets.load_level_set
+    monkeypatch.setattr(evaluation_sets, "load_level_set", lambda name: (loaded.append(name), *load(name))[1:])
     names = ("random_s", "dev_random_s", "dev_designed_s", "frontier_s", "kinetix_s", "designed_s", "s/kick")
     config = recipe("tiny")
     train._check_levels(dataclasses.replace(config, evaluation=EvaluationConfig(sets=names)))

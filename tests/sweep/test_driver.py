@@ -11,11 +11,13 @@ import pytest
 from PIL import Image
 
 from kinetix_dist.errors import UserError
-from kinetix_dist.sweep import driver
+from kinetix_dist.sweep import driver, run_loop
 from kinetix_dist.sweep.arms import runs_of
-from kinetix_dist.sweep.driver import RunsFailedError, Sweep, SweepStoppedError, done_so_far
+from kinetix_dist.sweep.driver import Sweep
 from kinetix_dist.sweep.objective import read_curve
 from kinetix_dist.sweep.results import draw
+from kinetix_dist.sweep.results_directory import DESIGN, done_so_far
+from kinetix_dist.sweep.run_loop import RunsFailedError, RunsStoppedError
 from kinetix_dist.sweep.slots import Slot
 from tests.sweep.designs import design, halving_text, text
 
@@ -37,8 +39,8 @@ def started(tmp_path, monkeypatch):
         command = [sys.executable, "-S", str(STAND_IN), str(file), *arguments]
         return subprocess.Popen(command, stdout=log.open("ab"), stderr=subprocess.STDOUT, start_new_session=True)
 
-    monkeypatch.setattr(driver, "start_training", start)
-    monkeypatch.setattr(driver, "POLL_S", 0.02)
+    monkeypatch.setattr(run_loop, "start_training", start)
+    monkeypatch.setattr(run_loop, "POLL_S", 0.02)
     return commands, facts
 
 
@@ -89,7 +91,7 @@ def test_a_sweep_that_was_stopped_goes_on_and_repeats_nothing(tmp_path, started)
         seconds = done_so_far(sweep.path, sweep.runs)
         return "stopped by SIGTERM" if min(seconds["a3-seed0"], seconds["a4-seed0"]) > 10 else None
 
-    with pytest.raises(SweepStoppedError, match=r"stopped by SIGTERM, with 2 of 4 runs to go"):
+    with pytest.raises(RunsStoppedError, match=r"stopped by SIGTERM, with 2 of 4 runs to go"):
         train(sweep, half_way)
     assert [run["state"] for run in results(sweep)["runs"]] == ["done", "done", "part", "part"]
     assert results(sweep)["state"] == "incomplete" and results(sweep)["effects"] is None
@@ -159,7 +161,7 @@ def test_a_fold_over_that_is_not_complete_leaves_the_effects_of_the_first_half(t
     def has_trained(run):
         return read_curve(sweep.directory(run), sweep.design.objective).reaches(20)
 
-    with pytest.raises(SweepStoppedError):
+    with pytest.raises(RunsStoppedError):
         train(sweep, lambda: "late" if all(map(has_trained, sweep.runs[:4])) else None)
     effects = results(sweep)["effects"]
     assert (effects["of"], effects["is_whole"]) == ("4 arms", False)
@@ -177,12 +179,12 @@ def test_a_fold_over_that_is_not_complete_leaves_the_effects_of_the_first_half(t
 def test_results_of_another_design_are_kept(tmp_path, started):
     _, facts = started
     sweep_of(tmp_path, facts, text(), [0.5] * 4).close()
-    before = (tmp_path / "results" / driver.DESIGN).read_bytes()
+    before = (tmp_path / "results" / DESIGN).read_bytes()
     with pytest.raises(
         UserError, match=r"holds results of another design \(hash .*; name another directory with --out"
     ):
         sweep_of(tmp_path, facts, text(seconds="seconds = 30"), [0.5] * 4)
-    assert (tmp_path / "results" / driver.DESIGN).read_bytes() == before
+    assert (tmp_path / "results" / DESIGN).read_bytes() == before
     sweep_of(tmp_path, facts, text().replace("start_seconds = 10", "start_seconds = 99"), [0.5] * 4).close()
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from kinetix_dist.cli import sweep as command
 from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
+from kinetix_dist.cli.worker_slots import slots_for
 from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import PUBLIC_SOURCE
@@ -226,7 +226,7 @@ def test_fewer_free_gpus_than_asked(capsys, tmp_path, monkeypatch):
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
     line = refusal(capsys, tmp_path, gpu, "--slots", "3")
     assert "3 GPUs are requested, but 2 of 3 are free, 1 in use or not there; lower --slots" in line
-    slots = command._slots(runs_of(design(tmp_path, gpu)), 0)
+    slots = slots_for(runs_of(design(tmp_path, gpu)), 0, "--slots")
     assert [slot.environment["CUDA_VISIBLE_DEVICES"] for slot in slots] == ["0", "2"]
 
 

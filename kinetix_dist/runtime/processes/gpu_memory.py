@@ -24,6 +24,7 @@ from typing import NamedTuple
 from jax2d.scene import Capacity
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.evaluation.evaluate import MAX_WORLDS
+from kinetix_dist.evaluation.evaluation_sets import largest_size_played
 
 MIB = 1 << 20
 GIB = 1 << 30
@@ -122,13 +123,24 @@ def share_of_gpu(config: TrainConfig, processes: Sequence[tuple[str, int]], *, n
                 )
             )
         elif role == "evaluator":
+            played = _with_largest_sets(config)
             needs.append(
-                MemoryNeeds(process=process, thread_bytes=thread, pool_bytes=playing_bytes(config, MAX_WORLDS))
+                MemoryNeeds(
+                    process=process,
+                    thread_bytes=thread_bytes(played.env.capacity),
+                    pool_bytes=playing_bytes(played, MAX_WORLDS),
+                )
             )
         else:
             needs.append(MemoryNeeds(process=process, thread_bytes=thread, num_in_group=num_in_group))
     limit = config.run.gpu_memory_gib
     return GpuShare(needs=tuple(needs), limit_bytes=round(limit * GIB) if limit else None)
+
+
+def _with_largest_sets(config: TrainConfig) -> TrainConfig:
+    """The config with levels as large as the largest that are evaluated."""
+    size = largest_size_played(config.evaluation.sets, config.env.size)
+    return dataclasses.replace(config, env=dataclasses.replace(config.env, size=size))
 
 
 def budget_of(process: str, share: GpuShare, gpu: Gpu) -> Budget:

@@ -1,0 +1,109 @@
+"""Training of a study in one directory, and its results there.
+
+    runs/studies/NAME/   design.json, arms/RUN/ (run directories), logs/RUN.log
+                         NAME.csv, NAME.md, NAME.png, study.json (and NAME_levels.csv), written again after each run
+
+It holds no state that is not in the run directories: a run is done when it was evaluated at its last step, which is
+also how the same command goes on where another one stopped.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.config import to_dict
+from kinetix_dist.errors import user_errors
+from kinetix_dist.studio.runs.run_files import RunFileError, read_object
+from kinetix_dist.study.cost import trained_minutes
+from kinetix_dist.study.picture import draw
+from kinetix_dist.study.plan import Plan
+from kinetix_dist.study.records import is_complete, read_records
+from kinetix_dist.study.report import finding, markdown, state
+from kinetix_dist.study.summary import summarise
+from kinetix_dist.study.tables import levels_csv, points_csv
+from kinetix_dist.sweep.arms import Run
+from kinetix_dist.sweep.results_directory import ResultsDirectory, write_json
+from kinetix_dist.sweep.run_loop import Callbacks, RunLoop, RunsFailedError
+from kinetix_dist.sweep.slots import Slot
+
+RESULTS = "study.json"
+
+
+class StudyTraining:
+    """Study in one directory. `close` gives the directory back."""
+
+    def __init__(self, plan: Plan, path: Path) -> None:
+        """Takes the directory. Raises UserError for one of another study, or in use."""
+        self.plan = plan
+        self.path = path
+        self._directory = ResultsDirectory(path, plan.hash, to_dict(plan.study))
+
+    def close(self) -> None:
+        self._directory.close()
+
+    def train(
+        self, slots: Sequence[Slot], *, report: Callable[[str], None], must_stop: Callable[[], str | None]
+    ) -> None:
+        """Trains the chosen runs that are left. must_stop: why it is to end now; None: it goes on.
+
+        Raises RunsStoppedError, and RunsFailedError once all others are trained.
+        """
+        callbacks = Callbacks(report=report, must_stop=must_stop, after_run=self.write)
+        loop = RunLoop(self.path, self.plan.study.recipe, _CompleteGoal(self.path, self.plan), callbacks)
+        if failures := loop.train(self.plan.chosen, slots):
+            raise RunsFailedError("; ".join(failures))
+
+    def write(self) -> list[Path]:
+        """Writes the results from the run directories; returns the files. Raises UserError where that cannot be."""
+        return write_results(self.path, self.plan)
+
+
+def write_results(path: Path, plan: Plan) -> list[Path]:
+    """Writes NAME.csv, NAME.md, NAME.png and study.json; returns the files, study.json aside. Raises UserError."""
+    study = plan.study
+    with user_errors(RunFileError, prefix=f"{path}: "):
+        summary = summarise(path, plan)
+        minutes = trained_minutes(path, plan.runs)
+    texts = {f"{study.name}.csv": points_csv(summary.records), f"{study.name}.md": markdown(plan, summary, minutes)}
+    if study.figure.kind == "levels":
+        texts[f"{study.name}_levels.csv"] = levels_csv(summary.records, study.num_points)
+    picture = path / f"{study.name}.png"
+    with user_errors(OSError, prefix=f"{path}: results cannot be written: "):
+        for name, text in texts.items():
+            replace_file(path / name, text.encode())
+        draw(study, summary, picture)
+    known = {"state": state(plan, summary), "finding": finding(plan, summary), "minutes": round(minutes, 1)}
+    write_json(path / RESULTS, {"name": study.name, "hash": plan.hash, **known})
+    return [*(path / name for name in texts), picture]
+
+
+def read_results(path: Path) -> dict[str, Any] | None:
+    """{state, finding, minutes} of a directory of results; None where there are none. Raises RunFileError."""
+    return read_object(path / RESULTS)
+
+
+@dataclasses.dataclass(frozen=True)
+class _CompleteGoal:
+    """Evaluations of all sets at the last step. Runs end by themselves."""
+
+    path: Path
+    plan: Plan
+
+    def is_reached(self, run: Run) -> bool:
+        return is_complete(self.path, self.plan, run)
+
+    def must_end(self, run: Run) -> bool:
+        del run
+        return False
+
+    def why_out_of_reach(self, run: Run) -> str:
+        return f"{run.name} was stopped before its end"
+
+    def result(self, run: Run) -> str:
+        last = self.plan.study.num_points
+        records = read_records(self.path, self.plan, run)
+        return ", ".join(f"{name} {record.points[last].rate:.1%}" for name, record in records.items())

@@ -1,0 +1,185 @@
+"""The file of a study, TOML: a question, the arms that answer it, and where they are evaluated.
+
+    name = "filter"                 results go to runs/studies/filter
+    question, paper, finding        in a sentence each; finding: what ours shows
+    recipe = "pretrain_m"           what all arms have in common, with [options] of `kinetix-dist train`
+    env_steps, every_steps          environment steps of a run, and between its evaluations
+    sets = ["random_m"]             level sets of these evaluations
+    [[arms]]                        name and options of each; `reference` is the one that others are compared with
+    [cost]                          speed by which minutes are predicted
+    [figure]                        what is drawn
+    [small]                         the same in seconds on a CPU, by `--small`
+
+docs/studies.md describes every field.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.config import ConfigError, build
+from kinetix_dist.errors import one_line
+from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.setting import check_settings, setting
+from kinetix_dist.sweep.design import ArmOptions, DesignError, check_names, check_option_names
+from kinetix_dist.text_files import read_toml
+
+FORMAT = 1
+NOT_RUN = "not run yet"
+FIGURES = ("curves", "levels")
+SMALL = "_small"  # after the name of a study in its small version
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Cost:
+    """Speed of a run, for predictions before any run of the arm was trained here."""
+
+    steps_per_second: float = setting(1.0, above=0)  # environment steps
+    start_seconds: float = setting(60.0, minimum=0)  # of a run besides: start, compilation, evaluations, end
+    device: str = "one GPU"  # on which that is so
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Figure:
+    """Picture of the results."""
+
+    kind: str = setting("curves", choices=FIGURES)  # a panel a set; or "levels": each level's rate, a panel an arm too
+    sets: tuple[str, ...] = ()  # panels, in this order; (): all sets
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Small:
+    """Differences of the version that runs in seconds on a CPU. It shows that a study works, nothing else."""
+
+    recipe: str
+    env_steps: int
+    every_steps: int
+    sets: tuple[str, ...]
+    cost: Cost
+    attempts: int = 1
+    seeds: int = 1
+    arms: tuple[str, ...] = ()  # of the study; (): all
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)  # in place of the study's; over those of arms
+
+    def __post_init__(self) -> None:
+        check_option_names(self.options, "small.options")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Study:
+    """A study."""
+
+    name: str
+    question: str
+    paper: str  # what the paper shows, in a sentence
+    recipe: str
+    env_steps: int  # of each run
+    every_steps: int  # between evaluations
+    sets: tuple[str, ...]  # level sets of the evaluations
+    reference: str  # arm that the others are compared with
+    arms: tuple[ArmOptions, ...]
+    cost: Cost
+    format: int = FORMAT
+    finding: str = NOT_RUN  # what ours shows, in a sentence
+    attempts: int = setting(1, minimum=1)  # at each level in an evaluation
+    seeds: int = setting(3, minimum=1)  # every arm is trained with so many, the first one and those after it
+    first_seed: int = setting(1, minimum=0)
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)  # of all arms
+    figure: Figure = dataclasses.field(default_factory=Figure)
+    small: Small | None = None
+
+    def __post_init__(self) -> None:
+        if self.format != FORMAT:
+            raise DesignError(f"format is {self.format}; this version reads format {FORMAT}")
+        check_settings(self)
+        check_names([self.name], "study")
+        check_names([arm.name for arm in self.arms], "arm")
+        check_option_names(self.options, "options")
+        if len(self.arms) < 1:
+            raise DesignError("a study has no arms; give one or more")
+        arm_names = [arm.name for arm in self.arms]
+        if self.reference not in arm_names:
+            hint = did_you_mean(self.reference, arm_names, f"arms are {_listed(arm_names)}")
+            raise DesignError(f"reference {self.reference!r} is no arm; {hint}")
+        if not self.sets or len(set(self.sets)) < len(self.sets):
+            raise DesignError(f"sets are {', '.join(self.sets) or 'none'}; name one level set or more, each once")
+        if missing := [name for name in self.figure.sets if name not in self.sets]:
+            raise DesignError(f"figure.sets has {missing[0]}, which is not one of the sets; add it to them")
+        if not 0 < self.every_steps <= self.env_steps or self.env_steps % self.every_steps:
+            raise DesignError(
+                f"env_steps is {self.env_steps} and every_steps {self.every_steps}; give a multiple, so that there is "
+                "an evaluation at the end"
+            )
+        if self.small is not None:
+            _ = self.as_small  # raises where it is none
+
+    @property
+    def num_points(self) -> int:
+        """Evaluations of a run, without the one before training."""
+        return self.env_steps // self.every_steps
+
+    @property
+    def panels(self) -> tuple[str, ...]:
+        """Level sets of the figure."""
+        return self.figure.sets or self.sets
+
+    @property
+    def as_small(self) -> Study:
+        """The small version. Raises DesignError where there is none."""
+        small = self.small
+        if small is None:
+            raise DesignError(f"study {self.name} has no small version; add a section [small], or leave out --small")
+        names = [arm.name for arm in self.arms]
+        for name in small.arms:
+            if name not in names:
+                raise DesignError(f"small.arms has {name!r}; {did_you_mean(name, names, f'arms are {_listed(names)}')}")
+        arms = [
+            dataclasses.replace(arm, options={**arm.options, **small.options})
+            for arm in self.arms
+            if not small.arms or arm.name in small.arms
+        ]
+        try:
+            return dataclasses.replace(
+                self,
+                name=f"{self.name}{SMALL}",
+                finding=NOT_RUN,
+                recipe=small.recipe,
+                env_steps=small.env_steps,
+                every_steps=small.every_steps,
+                sets=small.sets,
+                attempts=small.attempts,
+                seeds=small.seeds,
+                cost=small.cost,
+                options={},
+                arms=tuple(arms),
+                figure=dataclasses.replace(self.figure, sets=()),
+                small=None,
+            )
+        except ValueError as error:
+            raise DesignError(f"small: {error}") from error
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names)
+
+
+def read_study(path: Path) -> Study:
+    """Raises DesignError for a file that is no study, one line that names it."""
+    try:
+        data = read_toml(path)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else one_line(error)
+        raise DesignError(f"{path} cannot be read as a study ({reason})") from error
+    try:
+        return build(Study, data)
+    except (ConfigError, DesignError) as error:
+        raise DesignError(f"{path}: {one_line(error)}") from error

@@ -1,0 +1,64 @@
+"""Results of a study as CSV: a row per arm, seed, set and point; and, where it is about levels, a row per level."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from kinetix_dist.evaluation.summary import worst_share
+from kinetix_dist.study.records import Record
+
+COLUMNS = ("arm", "seed", "set", "point", "update", "env_steps", "solved", "attempts", "worst_tenth")
+
+
+def points_csv(records: Sequence[Record]) -> str:
+    """Text of NAME.csv. solved, attempts: of all levels of the set together."""
+    return _text(
+        COLUMNS,
+        (
+            (
+                record.run.arm.name,
+                record.run.seed,
+                record.level_set,
+                point.number,
+                point.update,
+                point.env_steps,
+                sum(point.solved),
+                point.attempts * len(point.solved),
+                f"{worst_share(point.solved, point.attempts):.4f}",
+            )
+            for record in records
+            for point in record.points.values()
+        ),
+    )
+
+
+def levels_csv(records: Sequence[Record], num_points: int) -> str:
+    """Text of NAME_levels.csv: attempts that solved each level at each point; empty where an evaluation is missing."""
+    numbers = range(num_points + 1)
+    return _text(
+        ("arm", "seed", "set", "level", "attempts", *(f"solved_at_point_{number}" for number in numbers)),
+        (
+            (
+                record.run.arm.name,
+                record.run.seed,
+                record.level_set,
+                name,
+                next(iter(record.points.values())).attempts,
+                *(record.points[number].solved[index] if number in record.points else "" for number in numbers),
+            )
+            for record in records
+            if record.points
+            for index, name in enumerate(record.names)
+        ),
+    )
+
+
+def _text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return text.getvalue()

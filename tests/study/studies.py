@@ -1,0 +1,86 @@
+"""Studies that several tests use, as text of the file, and run directories with evaluations that are made up."""
+
+import json
+from pathlib import Path
+
+from kinetix_dist.study.plan import Plan, plan_of
+from kinetix_dist.study.study_file import read_study
+from kinetix_dist.sweep.arms import Run
+from kinetix_dist.sweep.results_directory import directory_of
+
+LEVELS = 20
+TEXT = """
+name = "mine"
+question = "Is a wide clip better?"
+paper = "It does not say."
+recipe = "tiny"
+env_steps = 256
+every_steps = 128
+sets = ["designed_s"]
+seeds = 2
+reference = "plain"
+[cost]
+steps_per_second = 64.0
+start_seconds = 6.0
+device = "a CPU"
+[[arms]]
+name = "plain"
+[[arms]]
+name = "wide"
+options = {"ppo.clip" = 0.3}
+"""
+SMALL = """
+[small]
+recipe = "tiny"
+env_steps = 128
+every_steps = 128
+sets = ["quickstart_s"]
+cost = {steps_per_second = 64.0}
+options = {"ppo.clip" = 0.4}
+"""
+
+
+def write(path: Path, content: str = TEXT) -> Path:
+    file = path / "mine.toml"
+    file.write_text(content)
+    return file
+
+
+def plan(folder: Path, content: str = TEXT, **choices) -> Plan:
+    """Plan of a study whose file is written into a folder; choices: of `plan_of`."""
+    return plan_of(read_study(write(folder, content)), **choices)
+
+
+def evaluation(phase: str, update: int, env_steps: int, solved: list[int], attempts: int = 1) -> dict:
+    names = [str(index) for index in range(len(solved))]
+    sets = {"designed_s": {"names": names, "solved": solved, "attempts": attempts}}
+    return {"phase": phase, "update": update, "env_steps": env_steps, "sets": sets}
+
+
+def rated(rate: float) -> list[int]:
+    """Levels solved once or not at all, so that their mean is the rate."""
+    return [int(index < round(rate * LEVELS)) for index in range(LEVELS)]
+
+
+def trained(path: Path, run: Run, rates: list[float], *, seconds_an_update: float = 1.0, update_at=lambda n: n) -> None:
+    """Files of a run that was evaluated at these rates, the first before training; an update has 128 steps."""
+    directory = directory_of(path, run)
+    (directory / "metrics").mkdir(parents=True)
+    (directory / "config.json").write_text(json.dumps({"hash": run.config.hash}))
+    lines, rows = [], []
+    for number, rate in enumerate(rates):
+        phase = "before" if number == 0 else "after" if number == len(rates) - 1 else "training"
+        update = update_at(number)
+        lines.append(evaluation(phase, update, 128 * update, rated(rate)))
+        if number:
+            seconds = 7.0 + seconds_an_update * update
+            rows.append(
+                {
+                    "update": update,
+                    "progress/env_steps": 128 * update,
+                    "progress/seconds": seconds,
+                    "progress/warmup_seconds": 7.0,
+                }
+            )
+    (directory / "evaluations.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    (directory / "metrics" / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))

@@ -1,0 +1,70 @@
+"""Small versions of all studies of the package, arm by arm, for real. Training goes on in this process: equal arms of
+several studies share their programs. `test_study_driver.py` has the loop, tests/sweep/test_slots.py the processes."""
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from kinetix_dist.cli.main import main
+from kinetix_dist.study.library import find_study, study_names
+from kinetix_dist.study.plan import plan_of
+from kinetix_dist.sweep import run_loop
+
+pytestmark = pytest.mark.long
+STUDIES = study_names()
+ARMS = [(name, arm.name) for name in STUDIES for arm in find_study(name).as_small.arms]
+
+
+class _Ended:
+    """Process that has ended."""
+
+    pid = -1
+
+    def __init__(self, returncode: int) -> None:
+        self.returncode = returncode
+
+    def poll(self) -> int:
+        return self.returncode
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory) -> Path:
+    """Directory in which the studies are run."""
+    return tmp_path_factory.mktemp("studies")
+
+
+@pytest.fixture(autouse=True)
+def _here(directory, monkeypatch):
+    monkeypatch.chdir(directory)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+
+    def start(arguments, slot, log):
+        log.touch()
+        return _Ended(main(["train", *arguments]))
+
+    monkeypatch.setattr(run_loop, "start_training", start)
+    monkeypatch.setattr(run_loop, "POLL_S", 0.0)
+
+
+@pytest.mark.parametrize(("study", "arm"), ARMS)
+def test_an_arm_trains_and_is_evaluated(study, arm):
+    assert main(["study", study, "--small", "--arms", arm]) == 0
+    path = Path("runs/studies") / f"{study}_small"
+    with (path / f"{study}_small.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["arm"] == arm]
+    small = find_study(study).as_small
+    points = {(row["set"], int(row["point"])) for row in rows}
+    assert points == {(name, number) for name in small.sets for number in range(small.num_points + 1)}
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_the_study_is_complete_then(study, capsys):
+    path = Path("runs/studies") / f"{study}_small"
+    plan = plan_of(find_study(study).as_small)
+    if not all((path / "arms" / run.name).is_dir() for run in plan.runs):
+        pytest.skip("its arms were not run")
+    assert main(["study", study, "--small", "--draw"]) == 0
+    said = capsys.readouterr().out
+    assert f"{len(plan.runs)} of {len(plan.runs)} runs" in said and "did not finish" not in said
+    assert (path / f"{study}_small.png").stat().st_size > 10_000
