@@ -26,6 +26,7 @@ import tyro
 from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.cli.eval_search import DEFAULT_STARTS, check_search, search, searched_table, wants_search
+from kinetix_dist.cli.text_table import MAX_ROWS, aligned, rows_left_out
 from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from kinetix_dist.trained_policy import Trained
 
 BASELINES = ("random", "noop")
-MAX_ROWS = 100  # levels in the printed table; the JSON file always has all of them
 MAX_RECORDED = 100  # levels of a recording
 
 
@@ -156,14 +156,10 @@ def table(name: str, rates: dict[str, SolveRates]) -> str:
         "return",
         "steps",
     )
-    widths = [max(len(row[i]) for row in (header, *rows, *totals)) for i in range(len(header))]
-
-    def line(row: tuple[str, ...]) -> str:
-        return "  ".join([row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:]))])
-
-    rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
-    left_out = [f"... {len(levels) - MAX_ROWS} more levels; --json FILE has all"] if len(levels) > MAX_ROWS else []
-    return "\n".join([line(header), rule, *map(line, rows), *left_out, rule, *map(line, totals)])
+    top, *lines = aligned([header, *rows, *totals])
+    rule = "-" * len(top)
+    of_levels, of_totals = lines[: len(rows)], lines[len(rows) :]
+    return "\n".join([top, rule, *of_levels, *rows_left_out(len(levels)), rule, *of_totals])
 
 
 def summary(rates: dict[str, SolveRates], base_levels: Sequence[str]) -> str:

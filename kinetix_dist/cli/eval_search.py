@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Protocol
 
 from kinetix_dist.cli.streams import say
+from kinetix_dist.cli.text_table import MAX_ROWS, aligned, rows_left_out
 from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from kinetix_dist.evaluation.policies import Player
     from kinetix_dist.level.level import Level
 
-MAX_ROWS = 100  # levels in the printed table; the JSON file always has all of them
 DEFAULT_STARTS = 4
 
 
@@ -103,13 +103,7 @@ def searched_table(rates: SearchRates, base_levels: Sequence[str]) -> str:
                 "-" if starts is None else f"{starts:.0%}",
             )
         )
-    widths = [max(len(row[i]) for row in rows) for i in range(len(header))]
-    lines = [
-        "  ".join([row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:]))])
-        for row in rows
-    ]
-    left_out = [f"... {len(levels) - MAX_ROWS} more levels; --json FILE has all"] if len(levels) > MAX_ROWS else []
-    return "\n".join(["", *lines, *left_out, "", *_totals(rates, base_levels)])
+    return "\n".join(["", *aligned(rows), *rows_left_out(len(levels)), "", *_totals(rates, base_levels)])
 
 
 def _totals(rates: SearchRates, base_levels: Sequence[str]) -> list[str]:

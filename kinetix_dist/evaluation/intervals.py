@@ -20,7 +20,7 @@ estimated from survey data, 1998.) With few base levels, or rates near 0 and 1, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 Z_95 = 1.959963984540054  # 97.5 % quantile of the normal distribution: two-sided 95 %
@@ -55,22 +55,33 @@ def interval_over_levels(solved: Sequence[int], attempts: int, base_levels: Sequ
     count = len(sums)
     if count < 2:
         return None
-    from scipy.special import stdtrit
-
     trials = len(solved) * attempts
     rate = sum(solved) / trials
-    squares = sum((of_solved - rate * of_trials) ** 2 for of_solved, of_trials in sums.values())
-    variance = squares / trials**2 * count / (count - 1)
+    variance = variance_of_ratio(sums.values(), rate)
     binomial = rate * (1 - rate)
     # All or none solved: each base level is a trial. More than all attempts there cannot be.
     effective = min(binomial / variance, trials) if variance > 0 else (trials if binomial > 0 else count)
-    quantile = float(stdtrit(count - 1, 0.975))
+    quantile = t_95(count - 1)
     low, high = _score_interval(rate, effective, quantile)
     # Nearly all or none solved: the few levels that differ say nothing of the next one. Wide enough for base levels of
     # which all or none are solved.
     low = min(low, _score_interval(1.0, count, quantile)[0])
     high = max(high, _score_interval(0.0, count, quantile)[1])
     return {"low": low, "high": high, "base_levels": count, "levels": len(solved)}
+
+
+def variance_of_ratio(sums: Collection[Sequence[float]], ratio: float) -> float:
+    """Variance of a ratio of sums over two clusters or more: (sum, size) of each."""
+    count = len(sums)
+    squares = sum((total - ratio * size) ** 2 for total, size in sums)
+    return squares / sum(size for _, size in sums) ** 2 * count / (count - 1)
+
+
+def t_95(degrees_of_freedom: float) -> float:
+    """97.5 % quantile of Student's t: two-sided 95 %."""
+    from scipy.special import stdtrit  # heavy
+
+    return float(stdtrit(degrees_of_freedom, 0.975))
 
 
 def for_readers(rate: Mapping[str, Any]) -> tuple[float, float]:

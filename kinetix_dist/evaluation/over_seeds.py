@@ -17,6 +17,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from kinetix_dist.evaluation.intervals import t_95
+
 NUM_RESAMPLES = 10_000
 SEED = 0x53454544  # "SEED": the same values have the same interval
 TAIL = 0.025  # on either side of a 95 % interval
@@ -58,15 +60,13 @@ def welch_interval(values: Sequence[float], others: Sequence[float]) -> tuple[fl
     """(low, high) of the mean of `values` less that of `others`, 95 %; None where either has fewer than two."""
     if min(len(values), len(others)) < 2:
         return None
-    from scipy.special import stdtrit  # t quantiles; heavy
-
     ours, theirs = np.asarray(values, float), np.asarray(others, float)
     parts = np.array([ours.var(ddof=1) / len(ours), theirs.var(ddof=1) / len(theirs)])
     difference = float(ours.mean() - theirs.mean())
     if parts.sum() == 0.0:
         return difference, difference
     freedom = parts.sum() ** 2 / (parts**2 / np.array([len(ours) - 1, len(theirs) - 1])).sum()
-    margin = float(stdtrit(freedom, 1 - TAIL) * np.sqrt(parts.sum()))
+    margin = float(t_95(freedom) * np.sqrt(parts.sum()))
     return difference - margin, difference + margin
 
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from kinetix_dist.evaluation.intervals import t_95, variance_of_ratio
+
 
 def difference_over_levels(
     rates: Sequence[float], others: Sequence[float], base_levels: Sequence[str]
@@ -24,9 +26,6 @@ def difference_over_levels(
         of_base[1] += 1
     if (count := len(sums)) < 2:
         return None
-    from scipy.special import stdtrit  # t quantiles; heavy
-
     mean = sum(differences) / len(differences)
-    squares = sum((total - mean * number) ** 2 for total, number in sums.values())
-    margin = float(stdtrit(count - 1, 0.975)) * math.sqrt(squares * count / (count - 1)) / len(differences)
+    margin = t_95(count - 1) * math.sqrt(variance_of_ratio(sums.values(), mean))
     return mean, mean - margin, mean + margin

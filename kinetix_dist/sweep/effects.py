@@ -17,9 +17,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from kinetix_dist.evaluation.intervals import t_95
 from kinetix_dist.sweep.factorial import TwoLevelDesign
 
-LEVEL = 0.95  # of intervals
 HIGH_ORDER = 3  # products of so many factors are taken for noise
 
 
@@ -34,9 +34,7 @@ class Error:
     @property
     def margin(self) -> float:
         """Half of an interval."""
-        from scipy.special import stdtrit  # t quantiles; heavy
-
-        return float(stdtrit(self.degrees_of_freedom, (1 + LEVEL) / 2)) * self.standard_error
+        return t_95(self.degrees_of_freedom) * self.standard_error
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -12,8 +12,9 @@ import pytest
 
 from jax2d.settings import preset
 from kinetix_dist.checkpoint import flatten_arrays, save_checkpoint
-from kinetix_dist.cli.eval_command import MAX_ROWS, table
+from kinetix_dist.cli.eval_command import table
 from kinetix_dist.cli.main import main
+from kinetix_dist.cli.text_table import MAX_ROWS
 from kinetix_dist.config import RunConfig, TrainConfig, to_dict
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.evaluation.evaluate import SolveRate, SolveRates

@@ -2,9 +2,6 @@
 
 import csv
 import json
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +12,10 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.errors import UserError
 from kinetix_dist.study.cost import seconds_left
 from kinetix_dist.study.driver import StudyTraining, write_results
-from kinetix_dist.sweep import run_loop
 from kinetix_dist.sweep.run_loop import RunsFailedError, RunsStoppedError
 from kinetix_dist.sweep.slots import Slot
 from tests.study.studies import TEXT, plan, trained, write
+from tests.sweep.stand_in_training import replace_training
 
 SLOTS = [Slot(name="cpu 0"), Slot(name="cpu 1")]
 STAND_IN = Path(__file__).with_name("stand_in.py")
@@ -29,18 +26,8 @@ RATES = {"plain-seed1": 0.2, "wide-seed1": 0.5, "plain-seed2": 0.4, "wide-seed2"
 def started(tmp_path, monkeypatch):
     """Training is a stand-in; a list of the arguments of all that were started, and the facts that they read."""
     monkeypatch.chdir(tmp_path)
-    commands, facts = [], {"hashes": {}, "rates": RATES | {"plain-seed3": 0.3}, "fails": [], "held": []}
-
-    def start(arguments, slot, log):
-        commands.append(arguments)
-        file = tmp_path / f"facts_{len(commands)}_{time.monotonic_ns()}.json"
-        file.write_text(json.dumps(facts))
-        command = [sys.executable, "-S", str(STAND_IN), str(file), *arguments]
-        return subprocess.Popen(command, stdout=log.open("ab"), stderr=subprocess.STDOUT, start_new_session=True)
-
-    monkeypatch.setattr(run_loop, "start_training", start)
-    monkeypatch.setattr(run_loop, "POLL_S", 0.02)
-    return commands, facts
+    facts = {"hashes": {}, "rates": RATES | {"plain-seed3": 0.3}, "fails": [], "held": []}
+    return replace_training(monkeypatch, tmp_path, STAND_IN, facts), facts
 
 
 def train(tmp_path, facts, must_stop=lambda: None, content=TEXT, **choices):
@@ -64,7 +51,7 @@ def rows(path):
 def test_all_arms_are_trained_and_results_written(tmp_path, started):
     commands, facts = started
     train(tmp_path, facts)
-    assert sorted(Path(arguments[1]).name for arguments in commands) == sorted(RATES)
+    assert sorted(Path(arguments[1]).name for _, arguments in commands) == sorted(RATES)
     found = rows(tmp_path / "out" / "mine.csv")
     assert len(found) == 4 * 3  # runs, points
     last = {(row["arm"], row["seed"]): row for row in found if row["point"] == "2"}
@@ -97,7 +84,7 @@ def test_a_study_that_was_stopped_goes_on_and_names_what_is_missing(tmp_path, st
     assert "wide less plain: +30.0 (+8.0 to +52.0) points" in text and "say nothing of seeds" in text
     commands.clear()
     train(tmp_path, facts)
-    assert sorted((Path(arguments[1]).name, arguments[2]) for arguments in commands) == [
+    assert sorted((Path(arguments[1]).name, arguments[2]) for _, arguments in commands) == [
         ("plain-seed2", "--resume"),
         ("wide-seed2", "--resume"),
     ]

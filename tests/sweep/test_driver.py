@@ -1,9 +1,6 @@
 """The loop of a sweep, around a stand-in for training; tests/sweep/test_sweep_command.py has the real one."""
 
 import json
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +8,7 @@ import pytest
 from PIL import Image
 
 from kinetix_dist.errors import UserError
-from kinetix_dist.sweep import driver, run_loop
+from kinetix_dist.sweep import driver
 from kinetix_dist.sweep.arms import runs_of
 from kinetix_dist.sweep.driver import Sweep
 from kinetix_dist.sweep.objective import read_curve
@@ -20,6 +17,7 @@ from kinetix_dist.sweep.results_directory import DESIGN, done_so_far
 from kinetix_dist.sweep.run_loop import RunsFailedError, RunsStoppedError
 from kinetix_dist.sweep.slots import Slot
 from tests.sweep.designs import design, halving_text, text
+from tests.sweep.stand_in_training import replace_training
 
 SLOTS = [Slot(name="cpu 0"), Slot(name="cpu 1")]
 STAND_IN = Path(__file__).with_name("stand_in.py")
@@ -28,20 +26,8 @@ STAND_IN = Path(__file__).with_name("stand_in.py")
 @pytest.fixture
 def started(tmp_path, monkeypatch):
     """Training is a stand-in; a list of the arguments of all that were started, and the facts that they read."""
-    commands, facts = [], {"hashes": {}, "rates": {}, "fails": []}
-
-    def start(arguments, slot, log):
-        commands.append((slot.name, arguments))
-        file = (
-            tmp_path / f"facts_{len(commands)}_{time.monotonic_ns()}.json"
-        )  # one each: another may be reading its own
-        file.write_text(json.dumps(facts))
-        command = [sys.executable, "-S", str(STAND_IN), str(file), *arguments]
-        return subprocess.Popen(command, stdout=log.open("ab"), stderr=subprocess.STDOUT, start_new_session=True)
-
-    monkeypatch.setattr(run_loop, "start_training", start)
-    monkeypatch.setattr(run_loop, "POLL_S", 0.02)
-    return commands, facts
+    facts = {"hashes": {}, "rates": {}, "fails": []}
+    return replace_training(monkeypatch, tmp_path, STAND_IN, facts), facts
 
 
 def sweep_of(tmp_path, facts, content, rates, name="results"):
