@@ -61,7 +61,7 @@ class Args:
     stop_at: float = 0.0
     draw: Path | None = None
     gif: Path | None = None
-    go_on: str = "the same command goes on"  # what a person is told where the command is stopped
+    go_on: str = "the same command goes on"  # ends the line that is printed where the command is stopped
 
 
 def parse(argv: Sequence[str]) -> Args:

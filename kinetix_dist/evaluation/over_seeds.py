@@ -1,4 +1,4 @@
-"""Intervals over seeds: how much of a difference between two arms could be the luck of the seeds.
+"""Intervals over seeds: how much of a difference between two arms could be chance.
 
     iqm(values)                         interquartile mean: of the middle half of the seeds
     bootstrap_interval(values, of)      of the mean or the IQM, seeds drawn again with replacement

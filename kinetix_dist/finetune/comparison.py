@@ -1,4 +1,4 @@
-"""The comparison of specialists in words: steps from a policy beside steps from scratch.
+"""Comparison of specialists in words: steps from a policy and steps from scratch.
 
 lines = comparison(read_results("runs/finetune-designed_s"))
 """

@@ -60,7 +60,7 @@ class Goal(Protocol):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Callbacks:
-    """Connections of the loop to whoever called it."""
+    """Connections of the loop to its caller."""
 
     report: Callable[[str], None]  # of a line
     must_stop: Callable[[], str | None]  # why it is to end now; None: it goes on
