@@ -53,6 +53,8 @@ class Args:
 
 
 def run(args: Args) -> int:
+    import jax
+
     from kinetix_dist.study.library import find_study
     from kinetix_dist.study.plan import plan_of
     from kinetix_dist.sweep.design import DesignError
@@ -63,6 +65,7 @@ def run(args: Args) -> int:
     if args.plan and args.draw:
         raise UserError("--plan and --draw are both given; leave one of them out")
     check_machine(args.minutes, args.gpus, OPTION)
+    jax.config.update("jax_platforms", "cpu")  # level sets are read here, and a GPU in use by this process is no slot
     with user_errors(DesignError):
         study = find_study(args.study)
         study = study.as_small if args.small else study

@@ -1,7 +1,8 @@
 """Training of a study in one directory, and its results there.
 
     runs/studies/NAME/   design.json, arms/RUN/ (run directories), logs/RUN.log
-                         NAME.csv, NAME.md, NAME.png, study.json (and NAME_levels.csv), written again after each run
+                         NAME.csv, NAME.md, NAME.png, study.json (and NAME_levels.csv or NAME_learnability.csv),
+                         written again after each run
 
 It holds no state that is not in the run directories: a run is done when it was evaluated at its last step, which is
 also how the same command goes on where another one stopped.
@@ -24,7 +25,7 @@ from kinetix_dist.study.plan import Plan
 from kinetix_dist.study.records import is_complete, read_records
 from kinetix_dist.study.report import finding, markdown, state
 from kinetix_dist.study.summary import summarise
-from kinetix_dist.study.tables import levels_csv, points_csv
+from kinetix_dist.study.tables import learnability_csv, levels_csv, points_csv
 from kinetix_dist.sweep.arms import Run
 from kinetix_dist.sweep.results_directory import ResultsDirectory, write_json
 from kinetix_dist.sweep.run_loop import Callbacks, RunLoop, RunsFailedError
@@ -71,6 +72,8 @@ def write_results(path: Path, plan: Plan) -> list[Path]:
     texts = {f"{study.name}.csv": points_csv(summary.records), f"{study.name}.md": markdown(plan, summary, minutes)}
     if study.figure.kind == "levels":
         texts[f"{study.name}_levels.csv"] = levels_csv(summary.records, study.num_points)
+    if study.figure.kind == "learnability":
+        texts[f"{study.name}_learnability.csv"] = learnability_csv(summary.refreshes)
     picture = path / f"{study.name}.png"
     with user_errors(OSError, prefix=f"{path}: results cannot be written: "):
         for name, text in texts.items():

@@ -1,4 +1,5 @@
-"""Picture of a study: solve rates over environment steps, a panel a set; of one about levels, each level's rate too."""
+"""Picture of a study: solve rates over environment steps, a panel a set; and, by the kind of its figure, the
+rate of each level, or the learnability of what a curriculum chose."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from kinetix_dist.study.learnability import KINDS, Refresh, over_seeds
 from kinetix_dist.study.records import Record
 from kinetix_dist.study.study_file import Study
 from kinetix_dist.study.summary import Summary, estimate_at
@@ -29,17 +31,22 @@ def draw(study: Study, summary: Summary, file: Path) -> None:
 
     arms = [arm.name for arm in study.arms if _of(summary, arm.name)]
     by_level = arms if study.figure.kind == "levels" else []
+    choosing = [arm for arm in arms if any(refresh.run.arm.name == arm for refresh in summary.refreshes)]
     num_columns = min(len(study.panels), MAX_COLUMNS)
     rows_of_sets = math.ceil(len(study.panels) / num_columns)  # of the curves, and of each arm's levels
-    num_rows = rows_of_sets * (1 + len(by_level))
+    rows_of_choosing = math.ceil(len(choosing) / num_columns)
+    num_rows = rows_of_sets * (1 + len(by_level)) + rows_of_choosing
     size = (PANEL_INCHES[0] * num_columns, PANEL_INCHES[1] * num_rows)
     figure, grid = plt.subplots(num_rows, num_columns, figsize=size, layout="constrained", squeeze=False)
-    blocks = grid.reshape(1 + len(by_level), rows_of_sets * num_columns)
+    of_sets, of_choosing = np.split(grid, [num_rows - rows_of_choosing])
+    blocks = of_sets.reshape(1 + len(by_level), rows_of_sets * num_columns)
     for number, level_set in enumerate(study.panels):
         _draw_curves(blocks[0, number], level_set, {arm: _of(summary, arm, level_set) for arm in arms})
         for block, arm in enumerate(by_level, start=1):
             _draw_levels(blocks[block, number], f"{arm}: levels of {level_set}", _of(summary, arm, level_set), study)
-    for panel in blocks[:, len(study.panels) :].flat:
+    for panel, arm in zip(of_choosing.flat, choosing, strict=False):
+        _draw_learnability(panel, arm, summary.refreshes)
+    for panel in [*blocks[:, len(study.panels) :].flat, *of_choosing.flat[len(choosing) :]]:
         panel.set_visible(False)
     figure.suptitle(textwrap.fill(study.question, LETTERS_PER_COLUMN * num_columns))
     figure.savefig(file, dpi=DPI)
@@ -77,6 +84,17 @@ def _draw_curves(panel: Any, level_set: str, by_arm: dict[str, list[Record]]) ->
     panel.grid(alpha=0.3)
     if any(by_arm.values()):
         panel.legend(fontsize=8)
+
+
+def _draw_learnability(panel: Any, arm: str, refreshes: Sequence[Refresh]) -> None:
+    names = {"fresh": "fresh levels", "claimed": "buffer, claimed", "measured": "buffer, measured in training"}
+    for kind in KINDS:
+        panel.plot(*over_seeds(refreshes, arm, kind), ".-", linewidth=1.2, label=names[kind])
+    panel.set_title(f"{arm}: learnability p (1 - p)")
+    panel.set_xlabel("million environment steps")
+    panel.set_ylim(0, 0.26)  # it is 0.25 at most
+    panel.grid(alpha=0.3)
+    panel.legend(fontsize=8)
 
 
 def _draw_levels(panel: Any, title: str, records: Sequence[Record], study: Study) -> None:

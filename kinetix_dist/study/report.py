@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
+from kinetix_dist.study.learnability import sentences as learnability
 from kinetix_dist.study.plan import Plan
 from kinetix_dist.study.study_file import NOT_RUN
 from kinetix_dist.study.summary import NO_INTERVAL, OVER_LEVELS, OVER_SEEDS, ArmResult, Estimate, Summary
@@ -55,7 +56,7 @@ def paragraph(plan: Plan, summary: Summary) -> str:
         ]
     used = {each.over for result in summary.results for each in _estimates(result)}
     sentences += [f"{_OVER[over][0].upper()}{_OVER[over][1:]}." for over in _OVER if over in used]
-    return " ".join([*sentences, *_missing(plan, summary)])
+    return " ".join([*sentences, *learnability(plan, summary.refreshes), *_missing(plan, summary)])
 
 
 def finding(plan: Plan, summary: Summary) -> str:

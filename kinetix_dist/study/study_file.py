@@ -29,7 +29,7 @@ from kinetix_dist.text_files import read_toml
 
 FORMAT = 1
 NOT_RUN = "not run yet"
-FIGURES = ("curves", "levels")
+FIGURES = ("curves", "levels", "learnability")
 SMALL = "_small"  # after the name of a study in its small version
 
 
@@ -49,7 +49,8 @@ class Cost:
 class Figure:
     """Picture of the results."""
 
-    kind: str = setting("curves", choices=FIGURES)  # a panel a set; or "levels": each level's rate, a panel an arm too
+    # Curves, a panel a set. Besides: "levels", each level's rate, a panel an arm; "learnability", of what was chosen.
+    kind: str = setting("curves", choices=FIGURES)
     sets: tuple[str, ...] = ()  # panels, in this order; (): all sets
 
     def __post_init__(self) -> None:

@@ -16,6 +16,7 @@ from kinetix_dist.evaluation.intervals import interval_over_levels
 from kinetix_dist.evaluation.over_seeds import bootstrap_difference, bootstrap_interval, iqm, mean, welch_interval
 from kinetix_dist.evaluation.paired_levels import difference_over_levels
 from kinetix_dist.evaluation.summary import worst_share
+from kinetix_dist.study.learnability import Refresh, read_refreshes
 from kinetix_dist.study.plan import Plan
 from kinetix_dist.study.records import Point, Record, is_complete, read_progress, read_records
 from kinetix_dist.sweep.arms import Run
@@ -67,6 +68,7 @@ class Summary:
     results: tuple[ArmResult, ...]  # set by set, arms in the order of the study
     unfinished: tuple[Unfinished, ...]
     gaps: tuple[str, ...]  # names of complete runs that lack evaluations before the end
+    refreshes: tuple[Refresh, ...] = ()  # of all runs, where the figure is about learnability
 
 
 def summarise(path: Path, plan: Plan) -> Summary:
@@ -92,6 +94,7 @@ def summarise(path: Path, plan: Plan) -> Summary:
         results=tuple(results),
         unfinished=tuple(Unfinished(run=run, env_steps=read_progress(path, run).env_steps) for run in left),
         gaps=tuple(gaps),
+        refreshes=read_refreshes(path, plan) if study.figure.kind == "learnability" else (),
     )
 
 

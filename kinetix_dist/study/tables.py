@@ -1,4 +1,5 @@
-"""Results of a study as CSV: a row per arm, seed, set and point; and, where it is about levels, a row per level."""
+"""Results of a study as CSV: a row per arm, seed, set and point; and, where it is about levels or
+learnability, a row per level or refresh."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from kinetix_dist.evaluation.summary import worst_share
+from kinetix_dist.study.learnability import KINDS, Refresh
 from kinetix_dist.study.records import Record
 
 COLUMNS = ("arm", "seed", "set", "point", "update", "env_steps", "solved", "attempts", "worst_tenth")
@@ -54,6 +56,28 @@ def levels_csv(records: Sequence[Record], num_points: int) -> str:
             for index, name in enumerate(record.names)
         ),
     )
+
+
+def learnability_csv(refreshes: Iterable[Refresh]) -> str:
+    """Text of NAME_learnability.csv: a row per arm, seed and refresh; empty where a number is not known."""
+    return _text(
+        ("arm", "seed", "update", "env_steps", *KINDS, "learnable_share"),
+        (
+            (
+                refresh.run.arm.name,
+                refresh.run.seed,
+                refresh.update,
+                refresh.env_steps,
+                *(_digits(getattr(refresh, kind)) for kind in KINDS),
+                _digits(refresh.learnable_share),
+            )
+            for refresh in refreshes
+        ),
+    )
+
+
+def _digits(value: float | None) -> str:
+    return "" if value is None else f"{value:.4f}"
 
 
 def _text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
