@@ -43,6 +43,8 @@ USAGE = f"""usage: {PROG} --levels SET [--from CKPT] [--each [--compare]] [optio
   --each          one specialist per level, on one device; --run is the directory of the results (default
                   runs/finetune-SET), and the same command goes on where it was stopped
   --compare       with --each and --from: specialists from scratch too
+  --part K/N      with --each: every N-th level alone, the K-th of them first; K from 0 to N - 1. Parts have directories
+                  of their own, so that several GPUs or machines share a level set
   --stop-at RATE  with --each: a specialist ends at the first evaluation that solves this share (default: none)
   --gif FILE      with --each: a moving picture, each level before training on it and after
   --draw DIR      only draw the picture again, from the results stored there; with --gif, the moving one too
@@ -59,6 +61,7 @@ class Args:
     each: bool = False
     has_size: bool = False  # whether env.size was given
     stop_at: float = 0.0
+    part: tuple[int, int] = (0, 1)  # which of how many shares of the levels
     draw: Path | None = None
     gif: Path | None = None
     go_on: str = "the same command goes on"  # ends the line that is printed where the command is stopped
@@ -72,6 +75,7 @@ def parse(argv: Sequence[str]) -> Args:
     own.add_argument("--each", action="store_true")
     own.add_argument("--compare", action="store_true")
     own.add_argument("--stop-at", type=float)
+    own.add_argument("--part")
     own.add_argument("--draw", type=Path)
     own.add_argument("--gif", type=Path)
     try:
@@ -118,10 +122,23 @@ def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
     if (name := args.config.curriculum.name) != CURRICULUM:
         raise UserError(f"curriculum.name is {name!r}, but finetune trains on --levels: {CURRICULUM!r}; leave it out")
     has_size = any(word.split("=")[0] == "--env.size" for word in rest)
-    starts = (SCRATCH, start) if known.compare else (start,)
     return Args(
-        train=args, starts=starts, each=known.each, has_size=has_size, stop_at=known.stop_at or 0.0, gif=known.gif
+        train=args,
+        starts=(SCRATCH, start) if known.compare else (start,),
+        each=known.each,
+        has_size=has_size,
+        stop_at=known.stop_at or 0.0,
+        part=(0, 1) if known.part is None else _part_of(known.part),
+        gif=known.gif,
     )
+
+
+def _part_of(word: str) -> tuple[int, int]:
+    """K/N as numbers. Raises UserError for what is no part."""
+    number, slash, count = word.partition("/")
+    if not (slash and number.isdecimal() and count.isdecimal() and int(number) < int(count)):
+        raise UserError(f"--part is {word!r}; give K/N, which of N shares of the levels, such as 0/4 to 3/4")
+    return int(number), int(count)
 
 
 def _check(known: argparse.Namespace) -> None:
@@ -131,6 +148,8 @@ def _check(known: argparse.Namespace) -> None:
         raise UserError("--from is empty; name a checkpoint, a run or a pretrained policy, or leave it out")
     if known.compare and not (known.each and known.start):
         raise UserError("--compare puts specialists from scratch next to those of a policy; give --each and --from too")
+    if known.part is not None and not known.each:
+        raise UserError("--part is a share of the specialists; give --each too")
     if known.stop_at is not None and not known.each:
         raise UserError("--stop-at is when a specialist ends; give --each too")
     if known.stop_at is not None and not 0.0 < known.stop_at <= 1.0:
@@ -190,16 +209,22 @@ def _each(args: Args, config: TrainConfig) -> int:
     if (path / "config.json").exists():
         raise UserError(f"{path} holds a run; give --run another directory for the results of specialists")
     starts = " and ".join(start.label for start in args.starts)
-    print(f"one specialist per level of {config.curriculum.levels}, {starts}, in {path}", flush=True)
+    number, count = args.part
+    share = f", those of part {number} of {count}" if count > 1 else ""
+    print(f"one specialist per level of {config.curriculum.levels}{share}, {starts}, in {path}", flush=True)
     if config.cut_episodes:
         print(config.cut_episodes, flush=True)
     with StopSignals(limit_s=config.run.stop_seconds, hint="; the same command goes on") as stop:
         try:
-            train_each(config, args.starts, path, stop_at=args.stop_at, report=lambda line: print(line, flush=True))
+            train_each(config, args.starts, path, stop_at=args.stop_at, part=args.part, report=_print_line)
         except StopRequested:
             say(f"kinetix-dist: stopped by {stop.requested}; {args.go_on}", sys.stderr)
             return EXIT_STOPPED
     return _show(path, args.gif, start=args.starts[-1].name)
+
+
+def _print_line(line: str) -> None:
+    print(line, flush=True)
 
 
 def _draw(path: Path, gif: Path | None) -> int:

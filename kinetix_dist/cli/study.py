@@ -5,20 +5,25 @@ The same command goes on where it stopped. docs/studies.md describes studies, th
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import functools
 import shlex
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from kinetix_dist.cli.sweep_tables import console
-from kinetix_dist.cli.worker_slots import check_machine, planned_slots, slots_for, train_in_time
+from kinetix_dist.cli.worker_slots import check_machine, planned_slots, slots_for, slots_of_machine, train_in_time
 from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
+    from kinetix_dist.study.command_file import CommandStudy
+    from kinetix_dist.study.command_plan import CommandPlan, CommandTraining
+    from kinetix_dist.study.driver import StudyTraining
     from kinetix_dist.study.plan import Plan
     from kinetix_dist.study.study_file import Study
     from kinetix_dist.sweep.slots import Slot
@@ -56,7 +61,6 @@ def run(args: Args) -> int:
     import jax
 
     from kinetix_dist.study.library import find_study
-    from kinetix_dist.study.plan import plan_of
     from kinetix_dist.sweep.design import DesignError
     from kinetix_dist.sweep.results_directory import check_design
 
@@ -70,17 +74,28 @@ def run(args: Args) -> int:
         study = find_study(args.study)
         study = study.as_small if args.small else study
         path = args.out or RUNS / study.name
-        plan = plan_of(study, seeds=args.seeds, arms=args.arms, path=path)
-    is_there = check_design(path, plan.hash)
+        work = _work_of(study, args, path)
+    is_there = check_design(path, work.plan.hash)
     if args.draw:
         if not is_there:
             raise UserError(f"{path} holds no results of study {study.name}; train it first, or name them with --out")
-        _report(plan, path)
+        _report(work)
         return 0
     if args.plan:
-        slots, missing = planned_slots(plan.runs, args.gpus, OPTION)
-        return _print_plan(args, plan, slots, path, missing)
-    return _train(args, plan, slots_for(plan.runs, args.gpus, OPTION), path)
+        slots, missing = planned_slots(lambda: work.slots(args.gpus), args.gpus, OPTION)
+        return _print_plan(args, work, slots, missing)
+    return _train(args, work, work.slots(args.gpus))
+
+
+def _work_of(study: Study | CommandStudy, args: Args, path: Path) -> _Work:
+    """Raises DesignError for what cannot be run."""
+    from kinetix_dist.study.command_file import CommandStudy
+    from kinetix_dist.study.command_plan import command_plan_of
+    from kinetix_dist.study.plan import plan_of
+
+    if isinstance(study, CommandStudy):
+        return _Commands(command_plan_of(study, seeds=args.seeds, arms=args.arms), path)
+    return _Training(plan_of(study, seeds=args.seeds, arms=args.arms, path=path), path)
 
 
 def _list(args: Args) -> int:
@@ -101,7 +116,7 @@ def _list(args: Args) -> int:
     return 0
 
 
-def _known(study: Study, directory: Path) -> dict[str, str]:
+def _known(study: Study | CommandStudy, directory: Path) -> dict[str, str]:
     """What the results of a study below a directory show; where there are none, what the file of the study says."""
     from kinetix_dist.study.driver import read_results
     from kinetix_dist.study.study_file import NOT_RUN
@@ -116,25 +131,24 @@ def _known(study: Study, directory: Path) -> dict[str, str]:
     }
 
 
-def _print_plan(args: Args, plan: Plan, slots: list[Slot], path: Path, missing: str) -> int:
+def _print_plan(args: Args, work: _Work, slots: list[Slot], missing: str) -> int:
     """missing: why these slots are not there."""
-    from kinetix_dist.study.cost import check_minutes, predicted_minutes, seconds_left
-    from kinetix_dist.study.report import in_millions
+    from kinetix_dist.study.cost import check_minutes, predicted_minutes
 
-    study = plan.study
+    study, plan = work.plan.study, work.plan
     screen = console()
-    screen.print(_arms_table(plan))
-    left = seconds_left(path, plan)
+    screen.print(work.table())
+    left = work.seconds_left()
     minutes = predicted_minutes(list(left.values()), len(slots))
     lines = [
         f"question   {study.question}",
         f"the paper  {study.paper}",
-        f"sets       {', '.join(study.sets)}, {study.num_points} times in {in_millions(study.env_steps)} steps",
+        *work.lines(),
         f"runs       {len(left)} of {len(plan.chosen)} are left",
         f"slots      {', '.join(slot.name for slot in slots)}" + (f"; not there now: {missing}" if missing else ""),
         f"time       {minutes:.1f} minutes predicted, {sum(left.values()) / 60:.1f} of all slots together, by the "
         f"speed of {study.cost.device} or of the arm's own runs",
-        f"results    {path}, hash {plan.hash}",
+        f"results    {work.path}, hash {plan.hash}",
     ]
     for line in lines:
         screen.print(line, soft_wrap=True, highlight=False)
@@ -143,44 +157,163 @@ def _print_plan(args: Args, plan: Plan, slots: list[Slot], path: Path, missing: 
     return 0
 
 
-def _arms_table(plan: Plan) -> Any:
-    from rich.table import Table
-
-    table = Table(title=f"{plan.study.name}: {len(plan.chosen)} runs of recipe {plan.study.recipe}")
-    for name in ("arm", "seeds", "options"):
-        table.add_column(name)
-    for arm in plan.study.arms:
-        seeds = " ".join(str(run.seed) for run in plan.chosen if run.arm.name == arm.name)
-        table.add_row(
-            arm.name, seeds or "-", ", ".join(f"{name} {value}" for name, value in arm.options.items()) or "-"
-        )
-    return table
-
-
-def _train(args: Args, plan: Plan, slots: list[Slot], path: Path) -> int:
-    from kinetix_dist.study.cost import check_minutes, predicted_minutes, seconds_left
-    from kinetix_dist.study.driver import StudyTraining
+def _train(args: Args, work: _Work, slots: list[Slot]) -> int:
+    from kinetix_dist.study.cost import check_minutes, predicted_minutes
 
     began = time.monotonic()
-    left = list(seconds_left(path, plan).values())
+    left = list(work.seconds_left().values())
     if args.minutes is not None:  # before a directory is made
         check_minutes(left, args.minutes)
-    training = StudyTraining(plan, path)
-    print(f"study {path}  hash {plan.hash}  slots {', '.join(slot.name for slot in slots)}", flush=True)
+    training = work.begin()
+    path = work.path
+    print(f"study {path}  hash {work.plan.hash}  slots {', '.join(slot.name for slot in slots)}", flush=True)
     print(f"cost       {len(left)} runs, {predicted_minutes(left, len(slots)):.1f} minutes predicted", flush=True)
-    print(f"watch it   kinetix-dist dashboard {shlex.quote(str(path / 'arms'))}", flush=True)
+    if isinstance(work, _Training):
+        print(f"watch it   kinetix-dist dashboard {shlex.quote(str(path / 'arms'))}", flush=True)
     try:
-        train, finish = functools.partial(training.train, slots), functools.partial(_report, plan, path)
-        return train_in_time(train, plan.chosen, args.minutes, began, finish)
+        train, finish = functools.partial(training.train, slots), functools.partial(_report, work)
+        return train_in_time(train, work.seconds_to_stop(), args.minutes, began, finish)
     finally:
         training.close()
 
 
-def _report(plan: Plan, path: Path) -> None:
+def _report(work: _Work) -> None:
     """Writes the results and prints the paragraph."""
-    from kinetix_dist.study.driver import write_results
-
-    files = write_results(path, plan)
+    files = work.write()
     text = next(file for file in files if file.suffix == ".md").read_text()
     console().print(text, soft_wrap=True, highlight=False, markup=False)
     print(f"written    {', '.join(map(str, files))}")
+
+
+class _Work(abc.ABC):
+    """A study with its directory: what it takes, how it is begun, what it writes."""
+
+    plan: Plan | CommandPlan
+    path: Path
+
+    @abc.abstractmethod
+    def slots(self, requested: int) -> list[Slot]:
+        """Worker slots. Raises UserError where there are none."""
+
+    @abc.abstractmethod
+    def seconds_left(self) -> dict[str, float]:
+        """Predicted seconds of each chosen run that is left, by its name."""
+
+    @abc.abstractmethod
+    def seconds_to_stop(self) -> float:
+        """Seconds after which all runs that were stopped have ended."""
+
+    @abc.abstractmethod
+    def begin(self) -> StudyTraining | CommandTraining:
+        """Takes the directory. Raises UserError."""
+
+    @abc.abstractmethod
+    def write(self) -> list[Path]:
+        """Writes the results; returns the files."""
+
+    @abc.abstractmethod
+    def table(self) -> Any:
+        """Arms, for a plan."""
+
+    def lines(self) -> list[str]:
+        """More lines of a plan."""
+        return []
+
+
+@dataclasses.dataclass(frozen=True)
+class _Training(_Work):
+    """A study whose arms are trained."""
+
+    plan: Plan
+    path: Path
+
+    def slots(self, requested: int) -> list[Slot]:
+        return slots_for(self.plan.runs, requested, OPTION)
+
+    def seconds_left(self) -> dict[str, float]:
+        from kinetix_dist.study.cost import seconds_left
+
+        return seconds_left(self.path, self.plan)
+
+    def seconds_to_stop(self) -> float:
+        from kinetix_dist.sweep.training_work import seconds_to_stop
+
+        return seconds_to_stop(self.plan.chosen)
+
+    def begin(self) -> StudyTraining:
+        from kinetix_dist.study.driver import StudyTraining
+
+        return StudyTraining(self.plan, self.path)
+
+    def write(self) -> list[Path]:
+        from kinetix_dist.study.driver import write_results
+
+        return write_results(self.path, self.plan)
+
+    def table(self) -> Any:
+        study = self.plan.study
+        title = f"{study.name}: {len(self.plan.chosen)} runs of recipe {study.recipe}"
+        return _arms_table(title, "options", {arm.name: arm.options for arm in study.arms}, _seeds(self.plan))
+
+    def lines(self) -> list[str]:
+        from kinetix_dist.study.report import in_millions
+
+        study = self.plan.study
+        return [f"sets       {', '.join(study.sets)}, {study.num_points} times in {in_millions(study.env_steps)} steps"]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Commands(_Work):
+    """A study whose arms are commands."""
+
+    plan: CommandPlan
+    path: Path
+
+    def slots(self, requested: int) -> list[Slot]:
+        return slots_of_machine(requested, OPTION, needs_gpu=self.plan.study.needs_gpu)
+
+    def seconds_left(self) -> dict[str, float]:
+        return self.plan.seconds_left(self.path)
+
+    def seconds_to_stop(self) -> float:
+        from kinetix_dist.study.command_plan import STOP_S
+
+        return STOP_S
+
+    def begin(self) -> CommandTraining:
+        from kinetix_dist.study.command_plan import CommandTraining
+
+        return CommandTraining(self.plan, self.path)
+
+    def write(self) -> list[Path]:
+        from kinetix_dist.study.command_plan import write_command_results
+
+        return write_command_results(self.path, self.plan)
+
+    def table(self) -> Any:
+        study = self.plan.study
+        title = f"{study.name}: {len(self.plan.chosen)} times `kinetix-dist {' '.join(study.command)}`"
+        return _arms_table(title, "values", {arm.name: arm.values for arm in study.arms}, _seeds(self.plan))
+
+
+def _seeds(plan: Plan | CommandPlan) -> dict[str, list[int]]:
+    """Seeds of the chosen runs of each arm."""
+    found: dict[str, list[int]] = {}
+    for run in plan.chosen:
+        seeds = found.setdefault(run.arm if isinstance(run.arm, str) else run.arm.name, [])
+        if run.seed not in seeds:
+            seeds.append(run.seed)
+    return found
+
+
+def _arms_table(title: str, what: str, arms: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, list[int]]) -> Any:
+    """what: arms have besides their names."""
+    from rich.table import Table
+
+    table = Table(title=title)
+    for column in ("arm", "seeds", what):
+        table.add_column(column)
+    for name, values in arms.items():
+        own = " ".join(map(str, seeds.get(name, ())))
+        table.add_row(name, own or "-", ", ".join(f"{key} {value}" for key, value in values.items()) or "-")
+    return table

@@ -59,7 +59,7 @@ def run(args: Args) -> int:
     path = args.out or RUNS / design.name
     check_design(path, hash_of(design, runs))
     if args.plan:
-        slots, missing = planned_slots(runs, args.slots, OPTION)
+        slots, missing = planned_slots(lambda: slots_for(runs, args.slots, OPTION), args.slots, OPTION)
         return _print_plan(args, design, runs, slots, path, missing=missing)
     return _train(args, design, runs, slots_for(runs, args.slots, OPTION), path)
 
@@ -98,6 +98,7 @@ def _train(args: Args, design: Design, runs: list[Run], slots: list[Slot], path:
     from kinetix_dist.sweep.driver import Sweep
     from kinetix_dist.sweep.results_directory import done_so_far
     from kinetix_dist.sweep.rungs import check_fits
+    from kinetix_dist.sweep.training_work import seconds_to_stop
 
     began = time.monotonic()
     if args.minutes is not None:  # before a directory is made
@@ -107,7 +108,7 @@ def _train(args: Args, design: Design, runs: list[Run], slots: list[Slot], path:
     print(f"watch it   kinetix-dist dashboard {shlex.quote(str(path / 'arms'))}", flush=True)
     try:
         train, finish = functools.partial(sweep.train, slots), functools.partial(_report, sweep)
-        return train_in_time(train, runs, args.minutes, began, finish)
+        return train_in_time(train, seconds_to_stop(runs), args.minutes, began, finish)
     finally:
         sweep.close()
 

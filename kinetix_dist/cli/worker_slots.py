@@ -39,7 +39,7 @@ def slots_for(runs: Sequence[Run], requested: int, option: str) -> list[Slot]:
     Raises UserError for arms that cannot run in any slot, then TooFewDevicesError.
     """
     from kinetix_dist.runtime import PlacementError, count_gpus, plan_placement, resolve_device
-    from kinetix_dist.sweep.slots import cpu_slots, gpu_slots
+    from kinetix_dist.sweep.slots import cpu_slots
 
     if "RAY_ADDRESS" in os.environ:
         raise UserError("RAY_ADDRESS is set, but arms run on this machine, each in a Ray of its own; unset it")
@@ -58,18 +58,36 @@ def slots_for(runs: Sequence[Run], requested: int, option: str) -> list[Slot]:
         return cpu_slots(requested, option)
     if not num_gpus:
         raise TooFewDevicesError("arms are to run on GPUs (run.device), but no GPU is visible here")
+    return _gpu_slots(requested, option)
+
+
+def slots_of_machine(requested: int, option: str, *, needs_gpu: bool) -> list[Slot]:
+    """Worker slots of commands that run on GPUs where there are any. Raises TooFewDevicesError, UserError."""
+    from kinetix_dist.runtime import count_gpus
+    from kinetix_dist.sweep.slots import cpu_slots
+
+    if count_gpus():
+        return _gpu_slots(requested, option)
+    if needs_gpu:
+        raise TooFewDevicesError("arms are to run on GPUs, but no GPU is visible here")
+    return cpu_slots(requested, option)
+
+
+def _gpu_slots(requested: int, option: str) -> list[Slot]:
+    from kinetix_dist.sweep.slots import gpu_slots
+
     try:
         return gpu_slots(requested, option)
     except UserError as error:
         raise TooFewDevicesError(str(error)) from error
 
 
-def planned_slots(runs: Sequence[Run], requested: int, option: str) -> tuple[list[Slot], str]:
+def planned_slots(slots: Callable[[], list[Slot]], requested: int, option: str) -> tuple[list[Slot], str]:
     """(worker slots, why they are not there now; "": they are), for a plan. Raises UserError where none are named."""
     from kinetix_dist.sweep.slots import Slot
 
     try:
-        return slots_for(runs, requested, option), ""
+        return slots(), ""
     except TooFewDevicesError as error:
         if not requested:
             raise UserError(f"{error}; {option} N plans for N of them") from error
@@ -83,17 +101,17 @@ class Trains(Protocol):
 
 
 def train_in_time(
-    train: Trains, runs: Sequence[Run], minutes: float | None, began: float, finish: Callable[[], None]
+    train: Trains, seconds_to_stop: float, minutes: float | None, began: float, finish: Callable[[], None]
 ) -> int:
-    """Exit status of a command that trains runs until all is done, it is stopped or the minutes are over.
+    """Exit status of a command that works runs off until all are done, it is stopped or the minutes are over.
 
-    began: s of time.monotonic(). finish: called when runs have ended. A second signal ends this process at once, and
-    its runs by the signal that they get then.
+    seconds_to_stop: after which all have ended that were stopped. began: s of time.monotonic(). finish: called when
+    runs have ended. A second signal ends this process at once, and its runs by the signal that they get then.
     """
     from kinetix_dist.runtime import EXIT_STOPPED, StopSignals
-    from kinetix_dist.sweep.run_loop import RunsFailedError, RunsStoppedError, seconds_to_stop
+    from kinetix_dist.sweep.run_loop import RunsFailedError, RunsStoppedError
 
-    with StopSignals(limit_s=seconds_to_stop(runs) + PATIENCE_S, hint=HINT) as stop, stop.deferred():
+    with StopSignals(limit_s=seconds_to_stop + PATIENCE_S, hint=HINT) as stop, stop.deferred():
 
         def must_stop() -> str | None:
             if stop.requested is not None:

@@ -27,12 +27,14 @@ def train_each(
     path: Path,
     *,
     stop_at: float = 0.0,
+    part: tuple[int, int] = (0, 1),
     report: Callable[[str], None] = lambda line: None,
 ) -> None:
     """Trains what the results directory at `path` does not hold yet: each level of `config.curriculum.levels`.
 
-    report: gets a line for a person about each specialist. Raises UserError, before anything is computed for long, for
-    levels and starts that do not fit, and for a directory of another design.
+    part: (k, n): only levels k, k + n, k + 2 n, ... report: gets a line for a person about each specialist. Raises
+    UserError, before anything is computed for long, for levels and starts that do not fit, and for a directory of
+    another design.
     """
     config = _alone(config)
     with user_errors(ValueError, OSError):
@@ -43,9 +45,10 @@ def train_each(
         arrays = {start.name: starting_point(_starting(config, start)).arrays for start in starts}
     results = ResultsDirectory(path, design_of(config, levels, names, stop_at=stop_at))
     try:
-        todo = [(i, start) for i in range(len(names)) for start in starts if results.done(start, names[i]) is None]
-        if num_done := len(names) * len(starts) - len(todo):
-            report(f"{num_done} of {len(names) * len(starts)} specialists are there already")
+        own = range(part[0], len(names), part[1])
+        todo = [(i, start) for i in own for start in starts if results.done(start, names[i]) is None]
+        if num_done := len(own) * len(starts) - len(todo):
+            report(f"{num_done} of {len(own) * len(starts)} specialists are there already")
         if not todo:
             return
         with user_errors(ValueError):

@@ -30,6 +30,7 @@ from kinetix_dist.sweep.arms import Run
 from kinetix_dist.sweep.results_directory import ResultsDirectory, write_json
 from kinetix_dist.sweep.run_loop import Callbacks, RunLoop, RunsFailedError
 from kinetix_dist.sweep.slots import Slot
+from kinetix_dist.sweep.training_work import TrainingWork
 
 RESULTS = "study.json"
 
@@ -54,7 +55,9 @@ class StudyTraining:
         Raises RunsStoppedError, and RunsFailedError once all others are trained.
         """
         callbacks = Callbacks(report=report, must_stop=must_stop, after_run=self.write)
-        loop = RunLoop(self.path, self.plan.study.recipe, _CompleteGoal(self.path, self.plan), callbacks)
+        loop = RunLoop(
+            self.path, TrainingWork(self.path, self.plan.study.recipe), _CompleteGoal(self.path, self.plan), callbacks
+        )
         if failures := loop.train(self.plan.chosen, slots):
             raise RunsFailedError("; ".join(failures))
 

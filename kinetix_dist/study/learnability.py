@@ -1,6 +1,6 @@
 """Learnability p (1 - p) of the levels that a curriculum chose, and of those that it chose from, over training.
 
-    fresh      candidates of a refresh, what levels offer that nobody chose: unbiased, from the episodes that scored them
+    fresh      candidates of a refresh, what levels offer that nobody chose: unbiased, from the episodes of scoring
     claimed    levels of the buffer, by the episodes for which they were chosen: too high, since the largest are kept
     measured   the same levels in training, by first episodes alone: unbiased
 

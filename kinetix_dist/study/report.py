@@ -25,10 +25,10 @@ def markdown(plan: Plan, summary: Summary, minutes: float) -> str:
     study = plan.study
     parts = [
         f"# {study.name}",
-        _wrapped(f"**Question.** {study.question}"),
-        _wrapped(f"**The paper.** {study.paper}"),
-        _wrapped(f"**Ours.** {paragraph(plan, summary)}"),
-        _wrapped(f"**State.** {state(plan, summary)}. {minutes:.1f} minutes of training, over all runs."),
+        wrapped(f"**Question.** {study.question}"),
+        wrapped(f"**The paper.** {study.paper}"),
+        wrapped(f"**Ours.** {paragraph(plan, summary)}"),
+        wrapped(f"**State.** {state(plan, summary)}. {minutes:.1f} minutes of training, over all runs."),
     ]
     if summary.results:
         parts += [_table(summary.results), f"![{study.question}]({study.name}.png)"]
@@ -148,5 +148,6 @@ def _table(results: Sequence[ArmResult]) -> str:
     return "\n".join(rows)
 
 
-def _wrapped(text: str) -> str:
+def wrapped(text: str) -> str:
+    """Paragraph in lines of at most WIDTH columns."""
     return textwrap.fill(text, WIDTH, break_long_words=False, break_on_hyphens=False)

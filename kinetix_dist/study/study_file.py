@@ -17,15 +17,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-from kinetix_dist.config import ConfigError, build
-from kinetix_dist.errors import one_line
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.setting import check_settings, setting
 from kinetix_dist.sweep.design import ArmOptions, DesignError, check_names, check_option_names
-from kinetix_dist.text_files import read_toml
 
 FORMAT = 1
 NOT_RUN = "not run yet"
@@ -171,16 +167,3 @@ class Study:
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names)
-
-
-def read_study(path: Path) -> Study:
-    """Raises DesignError for a file that is no study, one line that names it."""
-    try:
-        data = read_toml(path)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else one_line(error)
-        raise DesignError(f"{path} cannot be read as a study ({reason})") from error
-    try:
-        return build(Study, data)
-    except (ConfigError, DesignError) as error:
-        raise DesignError(f"{path}: {one_line(error)}") from error

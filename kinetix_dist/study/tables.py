@@ -17,7 +17,7 @@ COLUMNS = ("arm", "seed", "set", "point", "update", "env_steps", "solved", "atte
 
 def points_csv(records: Sequence[Record]) -> str:
     """Text of NAME.csv. solved, attempts: of all levels of the set together."""
-    return _text(
+    return text_of(
         COLUMNS,
         (
             (
@@ -40,7 +40,7 @@ def points_csv(records: Sequence[Record]) -> str:
 def levels_csv(records: Sequence[Record], num_points: int) -> str:
     """Text of NAME_levels.csv: attempts that solved each level at each point; empty where an evaluation is missing."""
     numbers = range(num_points + 1)
-    return _text(
+    return text_of(
         ("arm", "seed", "set", "level", "attempts", *(f"solved_at_point_{number}" for number in numbers)),
         (
             (
@@ -60,7 +60,7 @@ def levels_csv(records: Sequence[Record], num_points: int) -> str:
 
 def learnability_csv(refreshes: Iterable[Refresh]) -> str:
     """Text of NAME_learnability.csv: a row per arm, seed and refresh; empty where a number is not known."""
-    return _text(
+    return text_of(
         ("arm", "seed", "update", "env_steps", *KINDS, "learnable_share"),
         (
             (
@@ -80,7 +80,8 @@ def _digits(value: float | None) -> str:
     return "" if value is None else f"{value:.4f}"
 
 
-def _text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def text_of(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Text of a CSV file."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)

@@ -19,6 +19,7 @@ from kinetix_dist.sweep.results_directory import ResultsDirectory, directory_of,
 from kinetix_dist.sweep.run_loop import Callbacks, RunLoop, RunsFailedError
 from kinetix_dist.sweep.rungs import Stage, stages
 from kinetix_dist.sweep.slots import Slot
+from kinetix_dist.sweep.training_work import TrainingWork
 
 RESULTS = "sweep.json"
 # s of training after the end of a run, until its last evaluation has to be there. It comes from a background
@@ -54,7 +55,9 @@ class Sweep:
         for stage in self._stages():
             goal = _CurveGoal(self.path, self.design, stage.seconds)
             try:
-                failures = RunLoop(self.path, self.design.recipe, goal, callbacks).train(stage.runs, slots)
+                failures = RunLoop(self.path, TrainingWork(self.path, self.design.recipe), goal, callbacks).train(
+                    stage.runs, slots
+                )
             finally:
                 self.write()
             if failures:

@@ -25,11 +25,6 @@ def directory_of(path: Path, run: Run) -> Path:
     return path / ARMS / run.name
 
 
-def log_of(path: Path, run: Run) -> Path:
-    """File with the command of a run and its output."""
-    return path / LOGS / f"{run.name}.log"
-
-
 def done_so_far(path: Path, runs: Sequence[Run]) -> dict[str, float]:
     """Seconds of training that each run has, by its name."""
     return {run.name: seconds_so_far(directory_of(path, run)) for run in runs}

@@ -1,4 +1,4 @@
-"""Worker slots: the devices that one arm at a time has to itself. One GPU each, or on CPUs as many cores each.
+"""Worker slots: the devices that one run at a time has to itself. One GPU each, or on CPUs as many cores each.
 
     python -m kinetix_dist.sweep.slots CORES PARENT COMMAND...      CORES: "0,1" or "all"; PARENT: pid of the sweep
 
@@ -86,13 +86,13 @@ def free_gpus(listing: str, visible: list[str] | None) -> tuple[list[str], list[
     return free, [name for name in chosen if name not in free]
 
 
-def start_training(arguments: list[str], slot: Slot, log: Path) -> subprocess.Popen[bytes]:
-    """Starts `kinetix-dist train` in a slot; its output is added to a file. It gets SIGTERM if this process dies, and
+def start_command(words: list[str], slot: Slot, log: Path) -> subprocess.Popen[bytes]:
+    """Starts `kinetix-dist WORDS` in a slot; its output is added to a file. It gets SIGTERM if this process dies, and
     no Ctrl-C of this one's terminal."""
     cores = ",".join(map(str, slot.cores)) or "all"
-    command = command_of("kinetix_dist.sweep.slots", cores, os.getpid(), "train", *arguments)
+    command = command_of("kinetix_dist.sweep.slots", cores, os.getpid(), *words)
     with log.open("ab") as file:
-        file.write(f"$ kinetix-dist train {' '.join(arguments)}\n".encode())
+        file.write(f"$ kinetix-dist {' '.join(words)}\n".encode())
         file.flush()
         return subprocess.Popen(
             command,

@@ -7,6 +7,7 @@ import pytest
 
 from kinetix_dist.cli.study import Args
 from kinetix_dist.study.library import find_study, study_names
+from kinetix_dist.study.command_file import BUILT_IN, CommandCost, CommandSmall, CommandStudy
 from kinetix_dist.study.study_file import Cost, Figure, Small, Study
 from tests.helpers import REPOSITORY
 
@@ -32,6 +33,13 @@ def test_every_field_of_a_study_is_documented(name, field):
 def test_every_field_of_a_small_version_is_described(field):
     described = STUDIES.split("`[small]` has")[1].split("\n\n")[0]
     assert f"`{field.name}`" in described
+
+
+@pytest.mark.parametrize("kind", [CommandStudy, CommandCost, CommandSmall], ids=lambda kind: kind.__name__)
+def test_every_field_of_a_study_of_commands_is_described(kind):
+    described = STUDIES.split("## A study of commands")[1].split("\n## ")[0]
+    named = [field.name for field in dataclasses.fields(kind)] + list(BUILT_IN)
+    assert not [name for name in named if f"`{name}`" not in described and f"`cost.{name}`" not in described]
 
 
 @pytest.mark.parametrize("option", [field.name for field in dataclasses.fields(Args) if field.name != "study"])

@@ -12,7 +12,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.finetune.specialists import policy_at, start_from
 from kinetix_dist.models.policy import PolicyConfig
-from tests.finetune.small import OPTIONS, config_of, level_directory, write_policy
+from tests.finetune.small import NAMES, OPTIONS, config_of, level_directory, write_policy
 
 
 @pytest.fixture(autouse=True)
@@ -91,6 +91,8 @@ def _refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (("--levels", "designed_s", "--recipe", "tiniest"), "unknown recipe 'tiniest'"),
         (("--levels", "designed_s", "--each", "--compare"), "give --each and --from too"),
         (("--levels", "designed_s", "--resume"), "--resume goes on with a run as it is"),
+        (("--levels", "designed_s", "--each", "--part", "4/4"), "--part is '4/4'; give K/N"),
+        (("--levels", "designed_s", "--each", "--part", "half"), "--part is 'half'; give K/N"),
         (("--draw", "nowhere", "--levels", "designed_s"), "--draw takes the directory of the results"),
     ],
 )
@@ -148,3 +150,21 @@ def test_a_directory_without_results_cannot_be_drawn(tmp_path: Path, capsys: pyt
     (tmp_path / "scratch").mkdir()
     (tmp_path / "scratch" / "kick.json").write_text('{"level": "kick", "start": "scratch", "label": 3}')
     assert "kick.json is damaged: 'label' is missing or of another type" in _refusal(capsys, "--draw", str(tmp_path))
+
+
+def test_parts_train_all_levels_between_them(levels: Path, tmp_path: Path) -> None:
+    for part, name in enumerate(NAMES):
+        results = tmp_path / f"part{part}"
+        command = [
+            "finetune",
+            "--levels",
+            str(levels),
+            *OPTIONS,
+            "--each",
+            "--part",
+            f"{part}/2",
+            "--run",
+            str(results),
+        ]
+        assert main(command) == 0
+        assert [file.stem for file in results.glob("scratch/*.json")] == [name]

@@ -4,10 +4,14 @@ import json
 from pathlib import Path
 
 from kinetix_dist.study.plan import Plan, plan_of
-from kinetix_dist.study.study_file import read_study
+from kinetix_dist.study.study_file import Study
+from kinetix_dist.study.library import find_study, read_study, study_names
 from kinetix_dist.sweep.arms import Run
 from kinetix_dist.sweep.results_directory import directory_of
 
+# Studies of the package, by kind of their arms.
+OF_TRAINING = [name for name in study_names() if isinstance(find_study(name), Study)]
+OF_COMMANDS = [name for name in study_names() if name not in OF_TRAINING]
 LEVELS = 20
 TEXT = """
 name = "mine"

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from kinetix_dist.cli.main import main
-from kinetix_dist.study.library import find_study, study_names
+from kinetix_dist.study.library import find_study
 from kinetix_dist.study.plan import plan_of
 from kinetix_dist.sweep import run_loop
+from tests.study.studies import OF_COMMANDS, OF_TRAINING
 
 pytestmark = pytest.mark.long
-STUDIES = study_names()
-ARMS = [(name, arm.name) for name in STUDIES for arm in find_study(name).as_small.arms]
+ARMS = [(name, arm.name) for name in OF_TRAINING for arm in find_study(name).as_small.arms]
 
 
 class _Ended:
@@ -39,11 +39,11 @@ def _here(directory, monkeypatch):
     monkeypatch.chdir(directory)
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
 
-    def start(arguments, slot, log):
+    def start(words, slot, log):
         log.touch()
-        return _Ended(main(["train", *arguments]))
+        return _Ended(main(words))
 
-    monkeypatch.setattr(run_loop, "start_training", start)
+    monkeypatch.setattr(run_loop, "start_command", start)
     monkeypatch.setattr(run_loop, "POLL_S", 0.0)
 
 
@@ -58,7 +58,7 @@ def test_an_arm_trains_and_is_evaluated(study, arm):
     assert points == {(name, number) for name in small.sets for number in range(small.num_points + 1)}
 
 
-@pytest.mark.parametrize("study", STUDIES)
+@pytest.mark.parametrize("study", OF_TRAINING)
 def test_the_study_is_complete_then(study, capsys):
     path = Path("runs/studies") / f"{study}_small"
     plan = plan_of(find_study(study).as_small)
@@ -68,3 +68,25 @@ def test_the_study_is_complete_then(study, capsys):
     said = capsys.readouterr().out
     assert f"{len(plan.runs)} of {len(plan.runs)} runs" in said and "did not finish" not in said
     assert (path / f"{study}_small.png").stat().st_size > 10_000
+
+
+def test_the_learnability_of_chosen_levels_is_written_and_said():
+    path = Path("runs/studies/curricula_small")
+    if not (path / "curricula_small.csv").exists():
+        pytest.skip("its arms were not run")
+    with (path / "curricula_small_learnability.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["arm"] for row in rows} == {"sfl"}
+    assert all(0 <= float(row["claimed"]) <= 0.25 and 0 <= float(row["learnable_share"]) <= 1 for row in rows)
+
+
+@pytest.mark.parametrize("study", OF_COMMANDS)
+def test_a_study_of_commands_runs_them_and_draws_what_they_wrote(study, capsys):
+    assert main(["study", study, "--small"]) == 0
+    said = capsys.readouterr().out
+    small = find_study(study).as_small
+    assert f"{len(small.arms)} of {len(small.arms)} runs" in said
+    path = Path("runs/studies") / f"{study}_small"
+    with (path / f"{study}_small.csv").open() as file:
+        assert {row["arm"] for row in csv.DictReader(file)} == {arm.name for arm in small.arms}
+    assert (path / f"{study}_small.png").stat().st_size > 5_000

@@ -7,11 +7,10 @@ import pytest
 from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
 from kinetix_dist.recipes import recipe
-from kinetix_dist.study.library import STUDIES, find_study, study_names
+from kinetix_dist.study.library import STUDIES, find_study, read_study, study_names
 from kinetix_dist.study.plan import SET_BY_STUDY, plan_of
-from kinetix_dist.study.study_file import read_study
 from kinetix_dist.sweep.arms import train_arguments
-from tests.study.studies import SMALL, TEXT, plan, trained, write
+from tests.study.studies import OF_TRAINING, SMALL, TEXT, plan, trained, write
 
 TINY_STEPS = 128  # environment steps of an update of the recipe `tiny`
 
@@ -37,7 +36,7 @@ def test_there_are_studies():
     assert {"curricula", "curricula_paper", "filter"} <= set(study_names())
 
 
-@pytest.mark.parametrize("name", study_names())
+@pytest.mark.parametrize("name", OF_TRAINING)
 def test_a_study_of_the_package_can_be_planned_and_has_a_small_version(name):
     study = find_study(name)
     assert study.name == name and study.question.endswith("?") and study.paper.endswith(".")
@@ -57,7 +56,7 @@ def test_the_hyperparameters_of_the_paper_are_those_of_the_recipes():
             assert getattr(run.config, section) == getattr(named, section), (run.arm.name, section)
 
 
-@pytest.mark.parametrize("name", study_names())
+@pytest.mark.parametrize("name", OF_TRAINING)
 def test_the_command_of_an_arm_gives_its_configuration(name, tmp_path):
     for study in (find_study(name), find_study(name).as_small):
         for run in plan_of(study, seeds=1).runs:

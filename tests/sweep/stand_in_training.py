@@ -12,7 +12,9 @@ def replace_training(monkeypatch, tmp_path, program, facts):
     """Runs are started as `program FACTS ARGUMENTS`; (slot, arguments) of all that were started, in a list."""
     commands = []
 
-    def start(arguments, slot, log):
+    def start(words, slot, log):
+        arguments = words[1:]
+        assert words[0] == "train"
         commands.append((slot.name, arguments))
         # One file each: another may be reading its own.
         file = tmp_path / f"facts_{len(commands)}_{time.monotonic_ns()}.json"
@@ -20,6 +22,6 @@ def replace_training(monkeypatch, tmp_path, program, facts):
         command = [sys.executable, "-S", str(program), str(file), *arguments]
         return subprocess.Popen(command, stdout=log.open("ab"), stderr=subprocess.STDOUT, start_new_session=True)
 
-    monkeypatch.setattr(run_loop, "start_training", start)
+    monkeypatch.setattr(run_loop, "start_command", start)
     monkeypatch.setattr(run_loop, "POLL_S", 0.02)
     return commands

@@ -1,0 +1,201 @@
+"""Runs of a study of commands, their work in worker slots, and its results.
+
+runs/studies/NAME/   design.json, arms/RUN/ (what each command writes, done.json), logs/RUN.log
+                     NAME.csv, NAME.md, NAME.png, study.json, written again after each run
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.config import to_dict
+from kinetix_dist.errors import user_errors
+from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.studio.runs.run_files import RunFileError, read_object
+from kinetix_dist.study.command_file import CommandStudy, words_of
+from kinetix_dist.study.command_results import RESULTS, Row, Written
+from kinetix_dist.study.driver import RESULTS as STUDY_JSON
+from kinetix_dist.study.report import wrapped
+from kinetix_dist.study.study_file import NOT_RUN
+from kinetix_dist.study.tables import text_of
+from kinetix_dist.sweep.arms import short_hash
+from kinetix_dist.sweep.design import DesignError
+from kinetix_dist.sweep.results_directory import ARMS, ResultsDirectory, write_json
+from kinetix_dist.sweep.run_loop import Callbacks, RunLoop, RunsFailedError
+from kinetix_dist.sweep.slots import Slot
+
+DONE = "done.json"
+STOP_S = 60.0  # in which a command ends after SIGTERM
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CommandRun:
+    """One arm with a seed, or a part of it."""
+
+    arm: str
+    seed: int
+    part: int  # from 0 on
+    name: str
+    command: tuple[str, ...]  # with {out} still in it
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CommandPlan:
+    """A study with its runs."""
+
+    study: CommandStudy
+    runs: tuple[CommandRun, ...]
+    chosen: tuple[CommandRun, ...]  # those to be run now
+    hash: str
+
+    def seconds_left(self, path: Path) -> dict[str, float]:
+        """Predicted seconds of each chosen run that is not done, by its name."""
+        return {run.name: 60 * self.study.cost.minutes for run in self.chosen if not _is_done(path, run)}
+
+
+def command_plan_of(study: CommandStudy, *, seeds: int | None = None, arms: Collection[str] = ()) -> CommandPlan:
+    """Plan with so many seeds (None: as many as the study says) for the named arms (none: all). Raises DesignError."""
+    names = [arm.name for arm in study.arms]
+    for name in arms:
+        if name not in names:
+            hint = did_you_mean(name, names, f"arms are {', '.join(names)}")
+            raise DesignError(f"unknown arm {name!r} of study {study.name}; {hint}")
+    count = study.seeds if seeds is None else seeds
+    if count < 1:
+        raise DesignError(f"--seeds is {count}; give 1 or more")
+    runs = tuple(
+        _run(study, arm.name, {**study.values, **arm.values}, seed, part)
+        for seed in range(study.first_seed, study.first_seed + count)
+        for arm in study.arms
+        for part in range(study.parts)
+    )
+    chosen = tuple(run for run in runs if not arms or run.arm in arms)
+    first = [run.command for run in runs if run.seed == study.first_seed]
+    return CommandPlan(study=study, runs=runs, chosen=chosen, hash=short_hash([study.name, study.results, first]))
+
+
+def _run(study: CommandStudy, arm: str, values: dict[str, Any], seed: int, part: int) -> CommandRun:
+    built_in = {"seed": seed, "part": part, "parts": study.parts, "out": "{out}"}
+    name = f"{arm}-seed{seed}" + (f"-part{part}" if study.parts > 1 else "")
+    command = tuple(words_of(study.command, {**values, **built_in}))
+    return CommandRun(arm=arm, seed=seed, part=part, name=name, command=command)
+
+
+def _is_done(path: Path, run: CommandRun) -> bool:
+    """True where its command has ended well. Raises RunFileError for a damaged file."""
+    return (read_object(path / ARMS / run.name / DONE) or {}).get("command") == list(run.command)
+
+
+@dataclasses.dataclass(frozen=True)
+class _CommandWork:
+    """Commands as work of `run_loop.py`, and their end as its goal."""
+
+    path: Path
+    began: dict[str, float] = dataclasses.field(default_factory=dict)  # s of time.monotonic(), by run
+
+    def command(self, run: CommandRun) -> tuple[list[str], bool]:
+        directory = self.path / ARMS / run.name
+        goes_on = directory.is_dir() and any(directory.iterdir())
+        directory.mkdir(parents=True, exist_ok=True)
+        self.began[run.name] = time.monotonic()
+        return [word.replace("{out}", str(directory)) for word in run.command], goes_on
+
+    def seconds_to_stop(self, run: CommandRun) -> float:
+        del run
+        return STOP_S
+
+    def ended(self, run: CommandRun, status: int) -> str:
+        if status == 0:
+            seconds = round(time.monotonic() - self.began[run.name], 1)
+            write_json(self.path / ARMS / run.name / DONE, {"command": list(run.command), "seconds": seconds})
+        return ""
+
+    def is_reached(self, run: CommandRun) -> bool:
+        return _is_done(self.path, run)
+
+    def must_end(self, run: CommandRun) -> bool:
+        del run
+        return False
+
+    def why_out_of_reach(self, run: CommandRun) -> str:
+        return f"{run.name} was stopped before its end"
+
+    def result(self, run: CommandRun) -> str:
+        return f"in {_seconds(self.path, run):.0f} s"
+
+
+def _seconds(path: Path, run: CommandRun) -> float:
+    return float((read_object(path / ARMS / run.name / DONE) or {}).get("seconds", 0.0))
+
+
+class CommandTraining:
+    """Study of commands in one directory. `close` gives the directory back."""
+
+    def __init__(self, plan: CommandPlan, path: Path) -> None:
+        """Takes the directory. Raises UserError for one of another study, or in use."""
+        self.plan = plan
+        self.path = path
+        self._directory = ResultsDirectory(path, plan.hash, to_dict(plan.study))
+
+    def close(self) -> None:
+        self._directory.close()
+
+    def train(
+        self, slots: Sequence[Slot], *, report: Callable[[str], None], must_stop: Callable[[], str | None]
+    ) -> None:
+        """Runs what is left. Raises RunsStoppedError, and RunsFailedError once all others have ended."""
+        callbacks = Callbacks(report=report, must_stop=must_stop, after_run=self.write)
+        work = _CommandWork(self.path)
+        if failures := RunLoop(self.path, work, work, callbacks).train(self.plan.chosen, slots):
+            raise RunsFailedError("; ".join(failures))
+
+    def write(self) -> list[Path]:
+        """Writes the results of what is done; returns the files. Raises UserError where that cannot be."""
+        return write_command_results(self.path, self.plan)
+
+
+def write_command_results(path: Path, plan: CommandPlan) -> list[Path]:
+    """Writes NAME.csv, NAME.md, NAME.png and study.json; returns the files, study.json aside. Raises UserError."""
+    study = plan.study
+    kind = RESULTS[study.results]
+    with user_errors(RunFileError, prefix=f"{path}: "):
+        done = [run for run in plan.runs if _is_done(path, run)]
+        minutes = sum(_seconds(path, run) for run in done) / 60
+    written = [Written(arm=run.arm, seed=run.seed, directory=path / ARMS / run.name) for run in done]
+    with user_errors(OSError, ValueError, prefix=f"{path}: "):
+        rows = kind.rows(written)
+    finding = kind.finding(rows) if rows else NOT_RUN
+    left = [run.name for run in plan.runs if run not in done]
+    state = f"{len(done)} of {len(plan.runs)} runs" if done else NOT_RUN
+    text = _markdown(study, kind.sentences(rows), left, f"{state}. {minutes:.1f} minutes of all runs together.")
+    with user_errors(OSError, prefix=f"{path}: results cannot be written: "):
+        replace_file(path / f"{study.name}.csv", _csv(rows).encode())
+        replace_file(path / f"{study.name}.md", text.encode())
+        kind.draw(study.question, rows, path / f"{study.name}.png")
+    known = {"state": state, "finding": finding, "minutes": round(minutes, 1)}
+    write_json(path / STUDY_JSON, {"name": study.name, "hash": plan.hash, **known})
+    return [path / f"{study.name}.{ending}" for ending in ("csv", "md", "png")]
+
+
+def _markdown(study: CommandStudy, found: Sequence[str], left: Sequence[str], state: str) -> str:
+    missing = f" Not done: {', '.join(left)}." if left else ""
+    parts = [
+        f"# {study.name}",
+        wrapped(f"**Question.** {study.question}"),
+        wrapped(f"**The paper.** {study.paper}"),
+        wrapped(f"**Ours.** {' '.join(found) or 'No run is complete.'}{missing}"),
+        wrapped(f"**State.** {state}"),
+        f"![{study.question}]({study.name}.png)",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _csv(rows: Sequence[Row]) -> str:
+    """A row each, of the columns that are no lists or tables."""
+    columns = [name for name, value in rows[0].items() if not isinstance(value, list | dict)] if rows else []
+    return text_of(columns, ([row[name] for name in columns] for row in rows))
