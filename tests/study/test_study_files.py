@@ -41,7 +41,7 @@ def test_a_study_of_the_package_can_be_planned_and_has_a_small_version(name):
     study = find_study(name)
     assert study.name == name and study.question.endswith("?") and study.paper.endswith(".")
     assert f"kinetix-dist study {name} --plan" in (STUDIES / f"{name}.toml").read_text()
-    assert len(plan_of(study).runs) == 3 * len(study.arms)
+    assert len(plan_of(study).runs) == study.seeds * len(study.arms)
     small = plan_of(study.as_small)
     assert all(run.config.run.device == "cpu" and run.config.run.placement == "local" for run in small.runs)
     assert {run.arm.name for run in small.runs} == set(study.small.arms or (arm.name for arm in study.arms))
