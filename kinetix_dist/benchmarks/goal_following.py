@@ -25,12 +25,11 @@ from kinetix_dist.evaluation.intervals import Z_95
 from kinetix_dist.evaluation.load_policy import load_policy
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
-from kinetix_dist.level.goal_following import MORPHOLOGIES, GoalFollowingLevels
+from kinetix_dist.level.goal_following import MORPHOLOGIES, GoalFollowingLevels, size_for
 from kinetix_dist.level.level import SIZES, WORLD_SIZE_M, Role
 from kinetix_dist.telemetry.recording import Rollout
 
 STEPS_TO_GET_THERE, STEPS_SEEN = 64, 64  # paper, the same section
-SIZE_OF = dict.fromkeys(MORPHOLOGIES, "m") | {"snake": "l"}  # which has no room in M
 BINS = 20  # of x, from wall to wall
 
 
@@ -62,7 +61,7 @@ def measure(options: Options, results: Results) -> None:
         checkpoint = load_checkpoint(options.checkpoint)
         config = from_dict_for_playing(checkpoint.description["config"])
     for morphology in options.morphologies:
-        size = SIZE_OF[morphology]
+        size = size_for(morphology)
         steps = STEPS_TO_GET_THERE + STEPS_SEEN
         env = Environment(dataclasses.replace(config.env, size=size, max_steps=steps))
         key = jax.random.key(options.seed)

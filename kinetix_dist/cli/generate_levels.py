@@ -3,6 +3,7 @@
     kinetix-dist levels generate mine --size m --count 50            by a random generator
     kinetix-dist levels generate mine --like my_levels               by a model that learns what those levels are like
     kinetix-dist levels generate mine --teacher runs/paired_s        by the teacher of a PAIRED run
+    kinetix-dist levels generate mine --body car                     a car below a goal that it cannot touch
 
 The files play wherever levels are requested: `kinetix-dist edit mine`, `eval --levels mine`.
 """
@@ -44,6 +45,8 @@ class Generate:
     """With --like: gradient steps of the autoencoder; left out: as many as it takes by default."""
     teacher: Path | None = None
     """Levels that the teacher of this run (curriculum paired) builds with its newest checkpoint."""
+    body: str | None = None
+    """Levels of goal following with such a body: car, snake, thrusters or random (`kinetix-dist bench goals`)."""
     seed: int = 0
     """Of the draw, and of the training of the autoencoder."""
 
@@ -70,13 +73,13 @@ def run_generate(args: Generate) -> int:
 
 def _check(args: Generate) -> None:
     """Complains before anything slow happens."""
-    given = [name for name in ("generator", "like", "teacher") if getattr(args, name) is not None]
+    given = [name for name in ("generator", "like", "teacher", "body") if getattr(args, name) is not None]
     if len(given) > 1:
         raise UserError(f"--{given[0]} and --{given[1]} both say where levels come from; give one")
     if args.count < 1:
         raise UserError(f"--count is {args.count}; give 1 or more")
     check_seed(args.seed)
-    if args.size is not None and given and given[0] != "generator":
+    if args.size is not None and given and given[0] not in ("generator", "body"):
         raise UserError(f"--size is for random levels; with --{given[0]} levels have the size of what they come from")
     if args.steps is not None and args.like is None:
         raise UserError("--steps is for the autoencoder of --like; give a set of levels or leave it out")
@@ -99,6 +102,11 @@ def _source(args: Generate) -> tuple[LevelGenerator, str, str]:
         trained, _ = newest_checkpoint_of(args.teacher)
         size = trained.config.env.size
         return teacher_levels(trained.checkpoint, trained.config.curriculum, capacity_of_size(size)), size, "taught"
+    if args.body is not None:
+        from kinetix_dist.level.goal_following import GoalFollowingLevels, size_for
+
+        size = args.size or size_for(args.body)
+        return GoalFollowingLevels(capacity_of_size(size), args.body), size, args.body
     size = args.size or "m"
     return RandomLevels(capacity_of_size(size), generator(args.generator or "default")), size, "random"
 

@@ -21,7 +21,7 @@ from kinetix_dist import prng
 from kinetix_dist.level.derive import derive
 from kinetix_dist.level.draft import draft_to_level, empty_draft
 from kinetix_dist.level.generator_config import GeneratorConfig
-from kinetix_dist.level.level import NUM_WALLS, WORLD_SIZE_M, Level, Role
+from kinetix_dist.level.level import NUM_WALLS, SIZES, WORLD_SIZE_M, Level, Role
 from kinetix_dist.level.mechanisms import FAMILIES
 from kinetix_dist.level.mechanisms.registry import Family
 from kinetix_dist.level.mechanisms.table import choose, table_of, with_circle
@@ -51,14 +51,9 @@ _NUM_LINKS = 5
 def generate_goal_following_level(key: Array, capacity: Capacity, morphology: str) -> Level:
     """One level with a body of that name. Consumes `key`. Raises ValueError for another name or too small a
     capacity."""
-    if morphology not in MORPHOLOGIES:
-        raise ValueError(f"unknown morphology {morphology!r}; there are {', '.join(MORPHOLOGIES)}")
+    if missing := _lacking(capacity, morphology):
+        raise ValueError(f"{morphology!r} needs {missing}; use a larger size")
     needs = MORPHOLOGIES[morphology]
-    have = {name: getattr(capacity, name) for name in ("polygons", "circles", "joints", "thrusters")}
-    have["polygons"] -= NUM_WALLS
-    for name, free in have.items():
-        if free < (needed := getattr(needs, name)):
-            raise ValueError(f"{morphology!r} needs {needed} {name}, there are {free}; use a larger size")
     draws = Draws(jax.lax.unstack(draw_numbers(key)))
     body = needs.build(draws, capacity)
     lowest, highest = extent(body.parts)
@@ -163,3 +158,21 @@ MORPHOLOGIES = {
     "thrusters": Family(build=_box, polygons=1, circles=1, thrusters=2),
     "random": Family(build=_random, polygons=2, circles=3, joints=2),
 }
+
+
+def size_for(morphology: str) -> str:
+    """The size of levels with such a body: "m", "l" where it has no room there. Raises ValueError for another name."""
+    return next(name for name in ("m", "l") if not _lacking(SIZES[name], morphology))
+
+
+def _lacking(capacity: Capacity, morphology: str) -> str:
+    """Clause about what a body needs and a level of that capacity does not have; "": nothing."""
+    if morphology not in MORPHOLOGIES:
+        raise ValueError(f"unknown morphology {morphology!r}; there are {', '.join(MORPHOLOGIES)}")
+    needs = MORPHOLOGIES[morphology]
+    have = {name: getattr(capacity, name) for name in ("polygons", "circles", "joints", "thrusters")}
+    have["polygons"] -= NUM_WALLS
+    missing = [
+        f"{getattr(needs, name)} {name}, there are {free}" for name, free in have.items() if free < getattr(needs, name)
+    ]
+    return missing[0] if missing else ""

@@ -71,6 +71,16 @@ def test_random_levels_are_those_of_the_generator(tmp_path: Path, capsys: pytest
     assert_playable(tmp_path / "random", "s")
 
 
+def test_levels_of_goal_following_have_the_size_of_the_body(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for body, size in (("car", "m"), ("snake", "l")):
+        [line] = generate(capsys, tmp_path / body, "--body", body)
+        assert f"levels of size {size} to" in line
+        assert_playable(tmp_path / body, size)
+    assert "unknown morphology 'cra'; there are car" in refusal(capsys, tmp_path / "no", "--body", "cra")
+    assert "'snake' needs 5 polygons, there are 2" in refusal(capsys, tmp_path / "no", "--body", "snake", "--size", "m")
+    assert "both say where levels come from" in refusal(capsys, tmp_path / "no", "--body", "car", "--like", "x")
+
+
 @pytest.mark.long
 def test_levels_like_those_of_a_directory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     generate(capsys, tmp_path / "random", "--size", "s")
