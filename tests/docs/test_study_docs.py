@@ -6,8 +6,8 @@ import re
 import pytest
 
 from kinetix_dist.cli.study import Args
-from kinetix_dist.study.library import find_study, study_names
 from kinetix_dist.study.command_file import BUILT_IN, CommandCost, CommandSmall, CommandStudy
+from kinetix_dist.study.library import find_study, study_names
 from kinetix_dist.study.study_file import Cost, Figure, Small, Study
 from tests.helpers import REPOSITORY
 

@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
+from kinetix_dist.study.library import find_study, read_study, study_names
 from kinetix_dist.study.plan import Plan, plan_of
 from kinetix_dist.study.study_file import Study
-from kinetix_dist.study.library import find_study, read_study, study_names
 from kinetix_dist.sweep.arms import Run
 from kinetix_dist.sweep.results_directory import directory_of
 

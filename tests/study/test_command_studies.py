@@ -115,7 +115,7 @@ def test_all_commands_run_once_and_results_are_written(tmp_path, started):
 
 def test_a_command_that_fails_is_named_and_tried_again(tmp_path, started):
     planned, path = plan(tmp_path, TEXT.replace("random_only", "broken"), seeds=1), tmp_path / "out"
-    with pytest.raises(RunsFailedError, match="bad-seed0 failed .exit status 1: kinetix-dist: broken is no checkpoint"):
+    with pytest.raises(RunsFailedError, match=r"bad-seed0 failed .exit status 1: kinetix-dist: broken is no checkpoint"):
         run(planned, path)
     assert "Not done: bad-seed0." in (path / "mine.md").read_text()
     started.clear()
@@ -206,5 +206,5 @@ def test_specialists_are_compared_level_by_level(tmp_path):
     kind.draw("Why?", rows, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 5_000
     (tmp_path / "scratch0" / "specialists" / "s" / "a.json").write_text("{")
-    with pytest.raises(ValueError, match="a.json"):
+    with pytest.raises(ValueError, match=r"a\.json"):
         kind.rows(written)
