@@ -40,14 +40,15 @@ class StaticInput:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PhysicsCounts:
-    """Counters of the physics and of the action space for each world, summed over steps. All but `speed_limited` are
-    zero in a healthy run. Fields are those of the environment's `StepInfo`."""
+    """Counters of the physics, the action space and the reward for each world, summed over steps. All but
+    `speed_limited` are zero in a healthy run. Fields are those of the environment's `StepInfo`."""
 
     unstable: Array  # [W] int32, times that the world was not finite and was reset
     contact_overflow: Array  # [W] int32, contacts without a slot
     speed_limited: Array  # [W] int32, times that a speed limit acted
     missing_effects: Array  # [W] int32, steps in which the engine lacked an effect
     invalid_actions: Array  # [W] int32, action numbers out of range
+    invalid_rewards: Array  # [W] int32, rewards that were not finite
     invalid_controls: Array  # [W] int32, controls out of range or NaN
     invalid_scene: Array  # [W] int32, joints, thrusters and polygons that make no sense, once a step
 

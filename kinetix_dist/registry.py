@@ -1,5 +1,6 @@
-"""Names for interchangeable parts: observations, action spaces, networks, curricula. Built-in ones are registered
-in the file that defines them, those of a user by a module that `run.plugins` names (docs/extending.md)."""
+"""Names for interchangeable parts: observations, action spaces, rewards, networks, curricula. Built-in ones are
+registered in the package that defines them, those of a user by a module that `run.plugins` names
+(docs/extending.md)."""
 
 from __future__ import annotations
 

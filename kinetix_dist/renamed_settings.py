@@ -4,8 +4,8 @@ A person who writes an old spelling is refused by a line that names the new one:
 options) and `refuse_old_words` (a command line). Configurations that were stored are translated as they are read:
 `translated`. A path that is here no longer exists, so old -> new is one step, never a chain.
 
-To rename a setting: rename the field, add a line to `RENAMED` (or `RENAMED_VALUES`, `REMOVED`). A section's line moves
-all fields in it; a field's own line comes first. Fields of a phase are "phases.FIELD".
+To rename a setting: rename the field, add a line to `RENAMED` (or `RENAMED_VALUES`, `MOVED_VALUES`, `REMOVED`). A
+section's line moves all fields in it; a field's own line comes first. Fields of a phase are "phases.FIELD".
 """
 
 from __future__ import annotations
@@ -27,6 +27,12 @@ RENAMED: dict[str, str] = {
 # (path now, value before) -> value now; also of the entries of a list.
 RENAMED_VALUES: dict[tuple[str, Any], Any] = {
     ("policy.kernels", "mosaic"): "fused",
+}
+
+# (path now, value before) -> (path now, value now) of the setting that says it today.
+MOVED_VALUES: dict[tuple[str, Any], tuple[str, Any]] = {
+    ("env.dense_reward_scale", 0.0): ("env.reward", "sparse"),
+    ("phases.dense_reward_scale", 0.0): ("phases.reward", "sparse"),
 }
 
 # Options of commands that are no settings: (command, option before) -> option now, ("sweep", "--places") -> "--slots".
@@ -97,6 +103,9 @@ def refuse_old_options(options: Mapping[str, Any]) -> None:
             elif _is_key((path, entry), RENAMED_VALUES):
                 new_value = RENAMED_VALUES[path, entry]
                 raise RenamedSettingError(f"{path} {entry!r} is now called {new_value!r}; use that")
+            elif _is_key((path, entry), MOVED_VALUES):
+                new, new_value = MOVED_VALUES[path, entry]
+                raise RenamedSettingError(f"{path} {entry!r} is now called {new} {new_value!r}; use that")
             elif _is_key((path, entry), REMOVED_VALUES):
                 instead, why = REMOVED_VALUES[path, entry]
                 raise RenamedSettingError(f"{path} {entry!r} is gone: {why}; use {instead!r}")
@@ -130,6 +139,8 @@ def _translated_leaves(data: Mapping[str, Any], before: str, now: str, for_playi
             yield from _translated_leaves(value, old, path, for_playing)
         elif isinstance(value, list | tuple):
             yield path, [_translated_entry(entry, old, path, for_playing) for entry in value]
+        elif _is_key((path, value), MOVED_VALUES):
+            yield MOVED_VALUES[path, value]
         else:
             yield path, _translated_value(path, value, for_playing)
 

@@ -126,7 +126,7 @@ def test_a_changed_line_of_an_update_makes_another_key(edit: Callable[[str], Non
 SOURCE = """
 import jax2d.scene
 from kinetix_dist import prng
-from kinetix_dist.env import reward, Environment  # both
+from kinetix_dist.env import outcome, Environment  # both
 def later():
     from kinetix_dist.learner import (
         gae,  # in a function
@@ -139,7 +139,7 @@ def test_all_forms_of_imports_are_followed() -> None:
     assert set(program_cache._imports_of(SOURCE)) == {
         "jax2d.scene",
         "kinetix_dist.prng",
-        "kinetix_dist.env.reward",
+        "kinetix_dist.env.outcome",
         "kinetix_dist.env",
         "kinetix_dist.learner.gae",
         "kinetix_dist.learner.state",

@@ -251,15 +251,16 @@ class _Training(_Work):
         return write_results(self.path, self.plan)
 
     def table(self) -> Any:
-        study = self.plan.study
-        title = f"{study.name}: {len(self.plan.chosen)} runs of recipe {study.recipe}"
-        return _arms_table(title, "options", {arm.name: arm.options for arm in study.arms}, _seeds(self.plan))
-
-    def lines(self) -> list[str]:
         from kinetix_dist.study.report import in_millions
 
         study = self.plan.study
-        return [f"sets       {', '.join(study.sets)}, {study.num_points} times in {in_millions(study.env_steps)} steps"]
+        title = f"{study.name}: {len(self.plan.chosen)} runs of recipe {study.recipe}"
+        steps = {arm.name: {"steps": in_millions(study.env_steps_of(arm.name))} for arm in study.arms}
+        return _arms_table(title, "options", {arm.name: arm.options for arm in study.arms}, _seeds(self.plan), steps)
+
+    def lines(self) -> list[str]:
+        study = self.plan.study
+        return [f"sets       {', '.join(study.sets)}, every {study.every_steps:,} steps"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -306,14 +307,22 @@ def _seeds(plan: Plan | CommandPlan) -> dict[str, list[int]]:
     return found
 
 
-def _arms_table(title: str, what: str, arms: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, list[int]]) -> Any:
-    """what: arms have besides their names."""
+def _arms_table(
+    title: str,
+    what: str,
+    arms: Mapping[str, Mapping[str, Any]],
+    seeds: Mapping[str, list[int]],
+    more: Mapping[str, Mapping[str, str]] | None = None,
+) -> Any:
+    """what: arms have besides their names. more: cells of other columns, by arm and column."""
     from rich.table import Table
 
     table = Table(title=title)
-    for column in ("arm", "seeds", what):
+    columns = list(next(iter(more.values()))) if more else []
+    for column in ("arm", "seeds", *columns, what):
         table.add_column(column)
     for name, values in arms.items():
         own = " ".join(map(str, seeds.get(name, ())))
-        table.add_row(name, own or "-", ", ".join(f"{key} {value}" for key, value in values.items()) or "-")
+        cells = [more[name][column] for column in columns] if more else []
+        table.add_row(name, own or "-", *cells, ", ".join(f"{key} {value}" for key, value in values.items()) or "-")
     return table

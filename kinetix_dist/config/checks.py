@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from kinetix_dist.config.sections import RolloutConfig, RunConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS
+from kinetix_dist.env.rewards import REWARDS
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.mechanisms import FAMILIES, fitting_families
@@ -55,6 +59,31 @@ def check_network(env: EnvConfig, policy: PolicyConfig) -> None:
         raise ConfigError(
             f"env.observation {env.observation!r} gives {gives}, but policy.network {policy.network!r} takes {takes}; "
             f"{advice}"
+        )
+
+
+def check_reward(env: EnvConfig, ppo: PpoConfig) -> None:
+    """A reward that is shaped by a discount has that of the learner, and its episodes end where they end for it."""
+    if not REWARDS[env.reward].uses_discount:
+        return
+    if env.shaping_discount != ppo.discount:
+        raise ConfigError(
+            f"env.reward {env.reward!r} discounts by env.shaping_discount {env.shaping_discount}, and ppo.discount is "
+            f"{ppo.discount}; set both to one value"
+        )
+    if ppo.bootstrap_timeouts:
+        raise ConfigError(
+            f"env.reward {env.reward!r} takes the time limit for the end of an episode, and ppo.bootstrap_timeouts "
+            "does not; set that to False"
+        )
+
+
+def check_changed_reward(phase: int, changed: Mapping[str, Any], env: EnvConfig) -> None:
+    """A phase, whose environment is `env`, sets nothing that its reward does not use."""
+    if "env.dense_reward_scale" in changed and not REWARDS[env.reward].uses_dense_scale:
+        raise ConfigError(
+            f"phase {phase} sets dense_reward_scale, which env.reward {env.reward!r} does not use; set reward in it, "
+            "too"
         )
 
 

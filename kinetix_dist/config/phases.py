@@ -26,6 +26,7 @@ CHANGES = {
     "learning_rate": "ppo.learning_rate",
     "clip": "ppo.clip",
     "entropy_coefficient": "ppo.entropy_coefficient",
+    "reward": "env.reward",
     "dense_reward_scale": "env.dense_reward_scale",
     "failure_penalty": "env.failure_penalty",
     "sizes": "curriculum.sizes",
@@ -43,6 +44,7 @@ class PhaseConfig:
     learning_rate: float | None = None
     clip: float | None = None
     entropy_coefficient: float | None = None
+    reward: str | None = None
     dense_reward_scale: float | None = None
     failure_penalty: float | None = None
     sizes: tuple[tuple[str, float], ...] | None = None

@@ -47,12 +47,14 @@ class TrainConfig:
         checks.check_sizes(env, curriculum)
         checks.check_action_space(env, self.policy, self.ppo)
         checks.check_network(env, self.policy)
+        checks.check_reward(env, self.ppo)
         checks.check_episode_lengths(rollout, env, curriculum, self.curriculum_class)
         checks.check_curators(run, curriculum, self.curriculum_class)
         checks.check_rollout_actors(run, rollout)
         if self.phases:
             self.check_batch()
-            _ = self.schedule  # raises for phases that cannot run
+            for phase in self.schedule.phases:  # raises for phases that cannot run
+                checks.check_changed_reward(phase.number, phase.changed, phase.config.env)
 
     @property
     def cut_episodes(self) -> str:
@@ -143,14 +145,30 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
             del counted["curriculum"][section]
     if config.curriculum.filter_noop:  # as in runs from before this setting, which go on
         del counted["curriculum"]["filter_noop"]
+    del counted["env"]["shaping_discount"]  # where it counts it is ppo.discount
+    counted["env"] = _before_rewards(counted["env"], usual=EnvConfig())
+    phases = [_before_rewards(phase, usual=PhaseConfig(start=0)) for phase in sections["phases"]]
     run = {"seed": config.run.seed, "policy_lag": config.run.policy_lag}
     run |= {"start_from": config.run.start_from, "start_optimizer": config.run.start_optimizer}
-    return counted | {"phases": sections["phases"], "run": run}
+    return counted | {"phases": phases, "run": run}
+
+
+def _before_rewards(settings: dict[str, Any], *, usual: EnvConfig | PhaseConfig) -> dict[str, Any]:
+    """Settings of `env` or of a phase in the words from before `env.reward`, so that runs from then go on.
+
+    The reward was "dense", or "sparse" where `dense_reward_scale` was 0, which no configuration of today has.
+    """
+    before = {name: value for name, value in settings.items() if name != "reward"}
+    if settings["reward"] == usual.reward:
+        return before
+    if settings["reward"] == "sparse" and settings["dense_reward_scale"] == usual.dense_reward_scale:
+        return before | {"dense_reward_scale": 0.0}
+    return settings
 
 
 def differences(ours: TrainConfig, theirs: TrainConfig) -> list[str]:
     """Fields that change the numbers and differ, as "ppo.epochs 8 instead of 4"."""
-    # A section that one of the curricula leaves out has its value in the whole config.
-    left, right = ({**flat(to_dict(config)), **flat(numbers_of(config))} for config in (ours, theirs))
-    counted = flat(numbers_of(ours)) | flat(numbers_of(theirs))
+    # What one of them leaves out or says in older words has its value of today in the whole config.
+    left, right = ({**flat(numbers_of(config)), **flat(to_dict(config))} for config in (ours, theirs))
+    counted = {*flat(numbers_of(ours)), *flat(numbers_of(theirs)), "env.reward"}
     return in_words({name: (left.get(name), right.get(name)) for name in counted})

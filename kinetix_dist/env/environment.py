@@ -31,8 +31,9 @@ from kinetix_dist.env.action_spaces.space import controls_of
 from kinetix_dist.env.device_memory import check_fits
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.observations import OBSERVATIONS, Moving, Observation
+from kinetix_dist.env.outcome import goal_distance, judge, role_masks
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
-from kinetix_dist.env.reward import Outcome, goal_distance, judge, reward_of, role_masks
+from kinetix_dist.env.rewards import REWARDS, Bodies, Reward, Step
 from kinetix_dist.level.level import Level, select_first
 from kinetix_dist.level.simulation import level_effects
 from kinetix_dist.level.walls import empty_level
@@ -49,6 +50,7 @@ class Environment:
             raise ValueError(f"engine has {engine.capacity}, but size {self.config.size!r} is {capacity}")
         self.observation: Observation = OBSERVATIONS[self.config.observation]
         self.action_space: ActionSpace = ACTION_SPACES[self.config.action_space]
+        self.reward: Reward = REWARDS[self.config.reward]
         settings = self.config.physics
         effects = level_effects(capacity, settings)
         self.engine = engine if engine is not None else Engine(capacity, settings=settings, effects=effects)
@@ -176,6 +178,7 @@ class Environment:
             initial_obs=self.observation.dynamic(moving),
             initial_distance=goal_distance(moving.position, roles),
             static_obs=self.observation.static(levels),
+            static_reward=self.reward.static(levels),
             bound_heads=self.action_space.bound_heads(levels),
             roles=roles,
             motor_colour=levels.motor_colour,
@@ -201,7 +204,7 @@ class Environment:
         )
         # Physics.
         packed_state, touching = self._physics(prepared, env_state, controls)
-        # Outcome and reward, from the state the step led to.
+        # Outcome, from the state the step led to.
         moving = self._moving(prepared.packed_scene, packed_state, touching.at_end, has_stepped=True)
         num_steps = env_state.num_steps + 1
         outcome = judge(
@@ -211,19 +214,57 @@ class Environment:
             is_last_step=num_steps >= self.config.max_steps,
         )
         distance = goal_distance(moving.position, prepared.roles)
-        reward = reward_of(
-            outcome,
-            env_state.distance,
-            distance,
-            dense_scale=self.config.dense_reward_scale,
-            failure_penalty=self.config.failure_penalty,
+        # Reward.
+        reward, is_invalid = self._reward(
+            Step(
+                level=prepared.static_reward,
+                roles=prepared.roles,
+                before=Bodies.of(self.engine.bodies(env_state.packed_state)),
+                after=Bodies.of(self.engine.bodies(packed_state)),
+                distance_before=env_state.distance,
+                distance_after=distance,
+                actions=actions,
+                controls=controls,
+                outcome=outcome,
+                num_steps=num_steps,
+                failure_penalty=self.config.failure_penalty,
+                dense_scale=self.config.dense_reward_scale,
+                discount=self.config.shaping_discount,
+            )
         )
         episode_return = env_state.episode_return + reward
-        info = _step_info(outcome, episode_return, num_steps, num_invalid, touching)
+        info = StepInfo(
+            solved=outcome.solved,
+            failed=outcome.failed,
+            timed_out=outcome.timed_out,
+            unstable=outcome.unstable,
+            episode_return=episode_return,
+            episode_length=num_steps,
+            invalid_actions=num_invalid,
+            invalid_rewards=is_invalid,
+            invalid_controls=touching.invalid_controls,
+            invalid_scene=touching.invalid_scene,
+            contact_overflow=touching.overflow,
+            speed_limited=touching.limited,
+            missing_effects=touching.missing,
+        )
         next_state = EnvState(
             packed_state=packed_state, distance=distance, num_steps=num_steps, episode_return=episode_return
         )
         return next_state, self.observation.dynamic(moving), reward, outcome.done, info
+
+    def _reward(self, step: Step) -> tuple[Array, Array]:
+        """(reward [W] float32, 0 where it is not finite and in unstable worlds; where it was not finite [W] bool)."""
+        given = self.reward.reward(step)
+        shape, dtype = np.shape(given), jnp.result_type(given)
+        if shape != step.num_steps.shape or dtype != jnp.float32:
+            raise ValueError(
+                f"reward {self.config.reward!r} gives {dtype}{list(shape)}; it has to be float32"
+                f"{list(step.num_steps.shape)}, a number for each world"
+            )
+        reward = jnp.where(step.outcome.unstable, 0.0, given)
+        is_invalid = ~jnp.isfinite(reward)
+        return jnp.where(is_invalid, 0.0, reward), is_invalid
 
     def obs_of_start(self, prepared: PreparedLevels, env_state: EnvState) -> Any:
         """Observation, as `reset` gives it, of episodes that start in a state. Contacts are seen after a step."""
@@ -267,25 +308,6 @@ def _is_finite(moving: Moving) -> Array:
     """[W] bool: all that the physics tells of a world is a finite number."""
     numbers = (moving.position, moving.angle[..., None], moving.velocity, moving.angular_velocity[..., None])
     return jnp.isfinite(jnp.concatenate(numbers, axis=-1)).all(axis=(1, 2))
-
-
-def _step_info(
-    outcome: Outcome, episode_return: Array, num_steps: Array, num_invalid: Array, touching: Touching
-) -> StepInfo:
-    return StepInfo(
-        solved=outcome.solved,
-        failed=outcome.failed,
-        timed_out=outcome.timed_out,
-        unstable=outcome.unstable,
-        episode_return=episode_return,
-        episode_length=num_steps,
-        invalid_actions=num_invalid,
-        invalid_controls=touching.invalid_controls,
-        invalid_scene=touching.invalid_scene,
-        contact_overflow=touching.overflow,
-        speed_limited=touching.limited,
-        missing_effects=touching.missing,
-    )
 
 
 def _select_worlds_last(mask: Array, chosen: Any, other: Any) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 
 from jax2d.scene import Array
-from kinetix_dist.env.reward import RoleMasks
+from kinetix_dist.env.outcome import RoleMasks
 
 
 @jax.tree_util.register_dataclass
@@ -21,6 +21,7 @@ class PreparedLevels:
     initial_obs: Any  # [W, ...], see `Observation.dynamic`
     initial_distance: Array  # [W] m, of green and blue
     static_obs: Any  # [W, ...], see `Observation.static`
+    static_reward: Any  # [W, ...], see `Reward.static`
     bound_heads: Array | None  # [W, dimensions] bool, see `ActionSpace.bound_heads`
     roles: RoleMasks  # [W, ...]
     motor_colour: Array  # [W, J] int32
@@ -51,6 +52,7 @@ class StepInfo:
     episode_return: Array  # [W] float32, of the episode so far, this step included (the final value where done)
     episode_length: Array  # [W] int32, likewise
     invalid_actions: Array  # [W] int32, numbers of this step's action that were out of range and acted as "off"
+    invalid_rewards: Array  # [W] bool, the reward of this step was not finite and counts as 0
     invalid_controls: Array  # [W] int32, controls that the engine found out of range or NaN
     invalid_scene: Array  # [W] int32, joints, thrusters and polygons of the level that make no sense to the engine
     contact_overflow: Array  # [W] int32, contacts that found no slot in the engine (0 unless built too small)

@@ -15,8 +15,13 @@ from kinetix_dist.text_files import read_toml
 
 
 def designed_sets() -> dict[str, dict[str, Any]]:
-    """levels/sets.toml: for each set its description, size and level files (relative to levels/)."""
-    return read_toml(levels_root() / "sets.toml")
+    """levels/sets.toml: for each set its description, size and level files (relative to levels/). One that is made of
+    other sets has their files."""
+    sets = read_toml(levels_root() / "sets.toml")
+    for entry in sets.values():
+        if "sets" in entry:
+            entry["levels"] = [file for name in entry["sets"] for file in sets[name]["levels"]]
+    return sets
 
 
 def designed_names() -> list[str]:

@@ -110,6 +110,6 @@ class _CompleteGoal:
         return f"{run.name} was stopped before its end"
 
     def result(self, run: Run) -> str:
-        last = self.plan.study.num_points
+        last = self.plan.last_point(run)
         records = read_records(self.path, self.plan, run)
         return ", ".join(f"{name} {record.points[last].rate:.1%}" for name, record in records.items())

@@ -43,7 +43,7 @@ def draw(study: Study, summary: Summary, file: Path) -> None:
     for number, level_set in enumerate(study.panels):
         _draw_curves(blocks[0, number], level_set, {arm: _of(summary, arm, level_set) for arm in arms})
         for block, arm in enumerate(by_level, start=1):
-            _draw_levels(blocks[block, number], f"{arm}: levels of {level_set}", _of(summary, arm, level_set), study)
+            _draw_levels(blocks[block, number], study, arm, _of(summary, arm, level_set))
     for panel, arm in zip(of_choosing.flat, choosing, strict=False):
         _draw_learnability(panel, arm, summary.refreshes)
     for panel in [*blocks[:, len(study.panels) :].flat, *of_choosing.flat[len(choosing) :]]:
@@ -97,25 +97,26 @@ def _draw_learnability(panel: Any, arm: str, refreshes: Sequence[Refresh]) -> No
     panel.legend(fontsize=8)
 
 
-def _draw_levels(panel: Any, title: str, records: Sequence[Record], study: Study) -> None:
+def _draw_levels(panel: Any, study: Study, arm: str, records: Sequence[Record]) -> None:
     """Rate of each level, mean over seeds, from white (never solved) to dark (always); those solved most on top."""
-    rates = np.full((len(records[0].names), study.num_points + 1), np.nan) if records else np.zeros((0, 1))
+    if not records:
+        panel.set_visible(False)
+        return
+    rates = np.full((len(records[0].names), study.num_points_of(arm) + 1), np.nan)
     for number in range(rates.shape[1]):
         there = [record.points[number].rates for record in records if number in record.points]
         if there:
             rates[:, number] = np.mean(there, axis=0)
     order = np.argsort(-np.nan_to_num(rates[:, -1]), kind="stable")
-    end = study.env_steps / 1e6
-    if len(rates):
-        panel.imshow(
-            rates[order],
-            aspect="auto",
-            cmap="Blues",
-            vmin=0,
-            vmax=1,
-            interpolation="nearest",
-            extent=(0, end, len(rates), 0),
-        )
-    panel.set_title(title, fontsize=9)
+    panel.imshow(
+        rates[order],
+        aspect="auto",
+        cmap="Blues",
+        vmin=0,
+        vmax=1,
+        interpolation="nearest",
+        extent=(0, study.env_steps_of(arm) / 1e6, len(rates), 0),
+    )
+    panel.set_title(f"{arm}: levels of {records[0].level_set}", fontsize=9)
     panel.set_xlabel("million environment steps")
     panel.set_ylabel("levels")

@@ -45,6 +45,10 @@ class Plan:
         """Updates from one evaluation of a run to the next."""
         return run.config.evaluation.every
 
+    def last_point(self, run: Run) -> int:
+        """Number of the evaluation at the end of a run."""
+        return self.study.num_points_of(run.arm.name)
+
 
 def plan_of(study: Study, *, seeds: int | None = None, arms: Collection[str] = (), path: Path | None = None) -> Plan:
     """Plan with so many seeds (None: as many as the study says) for the named arms (none: all). Runs that lie in `path`
@@ -66,7 +70,7 @@ def plan_of(study: Study, *, seeds: int | None = None, arms: Collection[str] = (
     present = _seeds_in(path) if path is not None else set()
     made = [Arm(name=arm.name, options={**study.options, **arm.options}) for arm in study.arms]
     runs = [_run(study, base, arm, seed) for seed in sorted({*wanted, *present}) for arm in made]
-    _check_sets(study.sets, runs)
+    _check_sets(runs)
     chosen = [run for run in runs if run.seed in wanted and (not arms or run.arm.name in arms)]
     first_runs = [_run(study, base, arm, first) for arm in made]
     return Plan(study=study, runs=tuple(runs), chosen=tuple(chosen), hash=_hash(study, first_runs))
@@ -88,7 +92,7 @@ def _seeds_in(path: Path) -> set[int]:
 def _run(study: Study, base: TrainConfig, arm: Arm, seed: int) -> Run:
     check_options(arm, base, {name: f"cannot be set in a study: {why}" for name, why in SET_BY_STUDY.items()})
     forced = {
-        "evaluation.sets": list(study.sets),
+        "evaluation.sets": list(study.sets_of(arm.name)),
         "evaluation.attempts": study.attempts,
         "evaluation.every_seconds": 0.0,
         "recording.num_rollouts": 0,
@@ -97,10 +101,10 @@ def _run(study: Study, base: TrainConfig, arm: Arm, seed: int) -> Run:
         "run.max_seconds": 0.0,
     }
     # Of what the arm makes of a batch comes how many updates lie between two evaluations.
-    any_length = {"evaluation.every": 1, "run.total_env_steps": study.env_steps}
+    any_length = {"evaluation.every": 1, "run.total_env_steps": study.env_steps_of(arm.name)}
     steps = make_run(base, arm, seed, {**forced, **any_length}).config.rollout.steps_per_update
     every = _updates_between_points(study, steps, arm.name)
-    length = {"evaluation.every": every, "run.total_env_steps": study.num_points * every * steps}
+    length = {"evaluation.every": every, "run.total_env_steps": study.num_points_of(arm.name) * every * steps}
     return make_run(base, arm, seed, {**forced, **length})
 
 
@@ -115,11 +119,12 @@ def _updates_between_points(study: Study, steps_per_update: int, arm: str) -> in
     return updates
 
 
-def _check_sets(names: Collection[str], runs: Sequence[Run]) -> None:
+def _check_sets(runs: Sequence[Run]) -> None:
     """Raises DesignError for level sets that are not there, or that an arm cannot play."""
-    for size, network in {(run.config.env.size, run.config.policy.network) for run in runs}:
+    configs = [run.config for run in runs]
+    for sets, size, network in {(each.evaluation.sets, each.env.size, each.policy.network) for each in configs}:
         try:
-            check_evaluation_sets(names, size, network)
+            check_evaluation_sets(sets, size, network)
         except (ValueError, OSError) as error:
             raise DesignError(f"sets: {one_line(error)}") from error
 
@@ -127,4 +132,8 @@ def _check_sets(names: Collection[str], runs: Sequence[Run]) -> None:
 def _hash(study: Study, runs: Sequence[Run]) -> str:
     """Hash over everything that results depend on. runs: of the first seed."""
     content = {name: value for name, value in to_dict(study).items() if name not in NO_NUMBERS}
+    for arm in content["arms"]:
+        for name in ("env_steps", "sets"):
+            if not arm[name]:  # as in results from before arms had their own, which go on
+                del arm[name]
     return short_hash([content, {run.name: run.config.hash for run in runs}, digests_of(study.sets)])

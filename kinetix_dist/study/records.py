@@ -81,7 +81,7 @@ def read_records(path: Path, plan: Plan, run: Run) -> dict[str, Record]:
     every = plan.updates_between(run)
     sets = evaluations(directory_of(path, run))["sets"]
     records = {}
-    for level_set in plan.study.sets:
+    for level_set in plan.study.sets_of(run.arm.name):
         if level_set not in sets:
             continue
         points = {
@@ -103,5 +103,5 @@ def read_records(path: Path, plan: Plan, run: Run) -> dict[str, Record]:
 def is_complete(path: Path, plan: Plan, run: Run) -> bool:
     """True where a run was evaluated on all sets at its end."""
     records = read_records(path, plan, run)
-    last = plan.study.num_points
-    return all(level_set in records and last in records[level_set].points for level_set in plan.study.sets)
+    last, sets = plan.last_point(run), plan.study.sets_of(run.arm.name)
+    return all(level_set in records and last in records[level_set].points for level_set in sets)

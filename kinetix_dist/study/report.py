@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from kinetix_dist.study.learnability import sentences as learnability
 from kinetix_dist.study.plan import Plan
-from kinetix_dist.study.study_file import NOT_RUN
+from kinetix_dist.study.study_file import NOT_RUN, Study
 from kinetix_dist.study.summary import NO_INTERVAL, OVER_LEVELS, OVER_SEEDS, ArmResult, Estimate, Summary
 
 WIDTH = 119  # columns of what is written
@@ -31,7 +31,7 @@ def markdown(plan: Plan, summary: Summary, minutes: float) -> str:
         wrapped(f"**State.** {state(plan, summary)}. {minutes:.1f} minutes of training, over all runs."),
     ]
     if summary.results:
-        parts += [_table(summary.results), f"![{study.question}]({study.name}.png)"]
+        parts += [_table(study, summary.results), f"![{study.question}]({study.name}.png)"]
     return "\n\n".join(parts) + "\n"
 
 
@@ -40,20 +40,26 @@ def paragraph(plan: Plan, summary: Summary) -> str:
     study = plan.study
     if not summary.results:
         return " ".join(["No run is complete.", *_missing(plan, summary)])
-    steps = in_millions(plan.runs[0].config.run.total_env_steps)
+    steps = f" after {in_millions(plan.runs[0].config.run.total_env_steps)} environment steps"
+    after = steps if study.has_one_length else ""
     sentences = []
     for level_set in study.sets:
         own = [result for result in summary.results if result.level_set == level_set]
         if not own:
             continue
-        rates = ", ".join(f"{result.arm} {percent(result.last)}" for result in own)
-        sentences.append(f"Solved of {level_set} after {steps} environment steps, %: {rates}.")
+        rates = ", ".join(f"{_with_steps(study, result.arm)} {percent(result.last)}" for result in own)
+        sentences.append(f"Solved of {level_set}{after}, %: {rates}.")
         sentences += [
             f"{result.arm} less {study.reference}: {points(result.difference)} points at the end, "
             f"{points(result.difference_over_training)} over training."
             for result in own
             if result.difference is not None and result.difference_over_training is not None
         ]
+    if not study.has_one_length:
+        sentences.append(
+            "Arms are trained for different steps: the end is that of each, and differences over training are over the "
+            "steps that both have."
+        )
     used = {each.over for result in summary.results for each in _estimates(result)}
     sentences += [f"{_OVER[over][0].upper()}{_OVER[over][1:]}." for over in _OVER if over in used]
     return " ".join([*sentences, *learnability(plan, summary.refreshes), *_missing(plan, summary)])
@@ -127,7 +133,12 @@ def _missing(plan: Plan, summary: Summary) -> list[str]:
     return sentences
 
 
-def _table(results: Sequence[ArmResult]) -> str:
+def _with_steps(study: Study, arm: str) -> str:
+    """Name of an arm, with its environment steps where arms differ in them."""
+    return arm if study.has_one_length else f"{arm} ({in_millions(study.env_steps_of(arm))} steps)"
+
+
+def _table(study: Study, results: Sequence[ArmResult]) -> str:
     rows = [
         "| set | arm | seeds | at the end, % | IQM | worst tenth | over training | difference | over training |",
         "|---|---|---|---|---|---|---|---|---|",
@@ -135,7 +146,7 @@ def _table(results: Sequence[ArmResult]) -> str:
     for result in results:
         cells = [
             result.level_set,
-            result.arm,
+            _with_steps(study, result.arm),
             str(result.num_seeds),
             percent(result.last),
             percent(result.last_iqm),

@@ -5,7 +5,8 @@
     recipe = "pretrain_m"           what all arms have in common, with [options] of `kinetix-dist train`
     env_steps, every_steps          environment steps of a run, and between its evaluations
     sets = ["random_m"]             level sets of these evaluations
-    [[arms]]                        name and options of each; `reference` is the one that others are compared with
+    [[arms]]                        name and options of each, and env_steps and sets where they are its own; `reference`
+                                    is the one that others are compared with
     [cost]                          speed by which minutes are predicted
     [figure]                        what is drawn
     [small]                         the same in seconds on a CPU, by `--small`
@@ -54,8 +55,18 @@ class Figure:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class StudyArm(ArmOptions):
+    """One arm. It may be trained for longer or shorter than the others, and evaluated on some of the sets."""
+
+    env_steps: int | None = None  # of each run; None: those of the study
+    sets: tuple[str, ...] = ()  # level sets of its evaluations, of the study's; (): all of them
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Small:
-    """Differences of the version that runs in seconds on a CPU. It shows that a study works, nothing else."""
+    """Differences of the version that runs in seconds on a CPU. It shows that a study works, nothing else.
+
+    An arm with `env_steps` of its own has the same share of the study's; one with `sets` has those that are left."""
 
     recipe: str
     env_steps: int
@@ -83,7 +94,7 @@ class Study:
     every_steps: int  # between evaluations
     sets: tuple[str, ...]  # level sets of the evaluations
     reference: str  # arm that the others are compared with
-    arms: tuple[ArmOptions, ...]
+    arms: tuple[StudyArm, ...]
     cost: Cost
     format: int = FORMAT
     finding: str = NOT_RUN  # what ours shows, in a sentence
@@ -111,18 +122,47 @@ class Study:
             raise DesignError(f"sets are {', '.join(self.sets) or 'none'}; name one level set or more, each once")
         if missing := [name for name in self.figure.sets if name not in self.sets]:
             raise DesignError(f"figure.sets has {missing[0]}, which is not one of the sets; add it to them")
-        if not 0 < self.every_steps <= self.env_steps or self.env_steps % self.every_steps:
-            raise DesignError(
-                f"env_steps is {self.env_steps} and every_steps {self.every_steps}; give a multiple, so that there is "
-                "an evaluation at the end"
-            )
+        self._check_length("", self.env_steps)
+        for arm in self.arms:
+            self._check_length(f" of arm {arm.name}", self.env_steps_of(arm.name))
+            if missing := [name for name in arm.sets if name not in self.sets]:
+                raise DesignError(f"arm {arm.name} has set {missing[0]}, which is not one of the sets; add it to them")
         if self.small is not None:
             _ = self.as_small  # raises where it is none
 
+    def _check_length(self, whose: str, env_steps: int) -> None:
+        if not 0 < self.every_steps <= env_steps or env_steps % self.every_steps:
+            raise DesignError(
+                f"env_steps{whose} is {env_steps} and every_steps {self.every_steps}; give a multiple, so that there "
+                "is an evaluation at the end"
+            )
+
+    def env_steps_of(self, arm: str) -> int:
+        """Environment steps of each run of an arm."""
+        own = self._arm(arm).env_steps
+        return self.env_steps if own is None else own
+
+    def num_points_of(self, arm: str) -> int:
+        """Evaluations of a run of an arm, without the one before training."""
+        return self.env_steps_of(arm) // self.every_steps
+
     @property
     def num_points(self) -> int:
-        """Evaluations of a run, without the one before training."""
-        return self.env_steps // self.every_steps
+        """Evaluations of a run of the longest arm, without the one before training."""
+        return max(self.num_points_of(arm.name) for arm in self.arms)
+
+    @property
+    def has_one_length(self) -> bool:
+        """All arms are trained for the same steps."""
+        return len({self.env_steps_of(arm.name) for arm in self.arms}) == 1
+
+    def sets_of(self, arm: str) -> tuple[str, ...]:
+        """Level sets on which an arm is evaluated, in the order of the study."""
+        own = self._arm(arm).sets
+        return tuple(name for name in self.sets if not own or name in own)
+
+    def _arm(self, name: str) -> StudyArm:
+        return next(arm for arm in self.arms if arm.name == name)
 
     @property
     def panels(self) -> tuple[str, ...]:
@@ -140,10 +180,17 @@ class Study:
             if name not in names:
                 raise DesignError(f"small.arms has {name!r}; {did_you_mean(name, names, f'arms are {_listed(names)}')}")
         arms = [
-            dataclasses.replace(arm, options={**arm.options, **small.options})
+            dataclasses.replace(
+                arm,
+                options={**arm.options, **small.options},
+                env_steps=None if arm.env_steps is None else arm.env_steps * small.env_steps // self.env_steps,
+                sets=tuple(name for name in arm.sets if name in small.sets),
+            )
             for arm in self.arms
             if not small.arms or arm.name in small.arms
         ]
+        if without := [arm.name for arm in arms if self._arm(arm.name).sets and not arm.sets]:
+            raise DesignError(f"small.sets has none of the sets of arm {without[0]}; add one, or leave it out of arms")
         try:
             return dataclasses.replace(
                 self,

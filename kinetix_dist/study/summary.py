@@ -1,7 +1,8 @@
 """Results of a study in numbers: each arm on each set, at the end and over training, and the differences to one arm.
 
 Intervals are over seeds, by bootstrap, where an arm has two or more; with one seed they are over base levels, and say
-nothing of seeds.
+nothing of seeds. Where arms are trained for different steps, each has its own end, and differences over training are
+over the steps that both have.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class ArmResult:
     worst_tenth: float  # of the levels, mean over seeds
     over_training: Estimate  # mean of all evaluations but the first
     difference: Estimate | None  # to the reference, of `last`; None: for the reference, or where that is missing
-    difference_over_training: Estimate | None
+    difference_over_training: Estimate | None  # of evaluations at steps that both have
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -81,13 +82,13 @@ def summarise(path: Path, plan: Plan) -> Summary:
         by_arm = {
             arm.name: [by_run[run.name][level_set] for run in complete if run.arm.name == arm.name]
             for arm in study.arms
+            if level_set in study.sets_of(arm.name)
         }
-        reference = by_arm[study.reference]
+        reference = by_arm.get(study.reference, [])
         for arm, records in by_arm.items():
             if records:
-                results.append(_result(records, [] if arm == study.reference else reference, study.num_points))
-    whole = set(range(study.num_points + 1))
-    gaps = [run.name for run in complete if any(record.points.keys() < whole for record in by_run[run.name].values())]
+                results.append(_result(plan, records, [] if arm == study.reference else reference))
+    gaps = [run.name for run in complete if any(_has_gaps(plan, record) for record in by_run[run.name].values())]
     left = [run for run in plan.runs if run not in complete]
     return Summary(
         records=tuple(record for run in plan.runs for record in by_run[run.name].values()),
@@ -98,24 +99,32 @@ def summarise(path: Path, plan: Plan) -> Summary:
     )
 
 
-def _result(records: Sequence[Record], reference: Sequence[Record], last: int) -> ArmResult:
+def _has_gaps(plan: Plan, record: Record) -> bool:
+    return record.points.keys() < set(range(plan.last_point(record.run) + 1))
+
+
+def _result(plan: Plan, records: Sequence[Record], reference: Sequence[Record]) -> ArmResult:
     def at_the_end(record: Record) -> Sequence[float]:
-        return record.points[last].rates
+        return record.points[plan.last_point(record.run)].rates
 
     def over_training(record: Record) -> Sequence[float]:
         return np.mean([point.rates for number, point in record.points.items() if number], axis=0).tolist()
 
-    ends = [record.points[last] for record in records]
+    def while_both_train(record: Record) -> Sequence[float]:
+        return np.mean([point.rates for number, point in record.points.items() if 0 < number <= both], axis=0).tolist()
+
+    both = min(plan.last_point(record.run) for record in (*records, *reference))
+    ends = [record.points[plan.last_point(record.run)] for record in records]
     return ArmResult(
         arm=records[0].run.arm.name,
         level_set=records[0].level_set,
         num_seeds=len(records),
-        last=estimate_at([record.points[last] for record in records], records[0].base_levels),
+        last=estimate_at(ends, records[0].base_levels),
         last_iqm=_over_seeds([point.rate for point in ends], iqm),
         worst_tenth=float(np.mean([worst_share(point.solved, point.attempts) for point in ends])),
         over_training=_over_seeds([float(np.mean(over_training(record))) for record in records], mean),
         difference=_difference(records, reference, at_the_end),
-        difference_over_training=_difference(records, reference, over_training),
+        difference_over_training=_difference(records, reference, while_both_train),
     )
 
 

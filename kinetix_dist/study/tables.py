@@ -38,7 +38,9 @@ def points_csv(records: Sequence[Record]) -> str:
 
 
 def levels_csv(records: Sequence[Record], num_points: int) -> str:
-    """Text of NAME_levels.csv: attempts that solved each level at each point; empty where an evaluation is missing."""
+    """Text of NAME_levels.csv: attempts that solved each level at each point; empty where an evaluation is missing.
+
+    num_points: of the longest arm, without the one before training."""
     numbers = range(num_points + 1)
     return text_of(
         ("arm", "seed", "set", "level", "attempts", *(f"solved_at_point_{number}" for number in numbers)),

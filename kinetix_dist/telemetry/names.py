@@ -107,6 +107,7 @@ _ALL = (
         "physics/missing_effects", PER_MILLION, "environment steps in which an engine lacked what its level calls for"
     ),
     Metric("physics/invalid_actions", PER_MILLION, "numbers of actions that were out of range and acted as off"),
+    Metric("physics/invalid_rewards", PER_MILLION, "rewards that were not finite and counted as 0"),
     Metric("physics/invalid_controls", PER_MILLION, "controls that were out of range (clamped) or nan (taken as 0)"),
     Metric(
         "physics/invalid_scene",

@@ -146,6 +146,7 @@ class _Ended:
     speed_limited: jax.Array
     missing_effects: jax.Array
     invalid_actions: jax.Array
+    invalid_rewards: jax.Array
     invalid_controls: jax.Array
     invalid_scene: jax.Array
 

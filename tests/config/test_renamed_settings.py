@@ -14,6 +14,7 @@ from kinetix_dist.config import ConfigError, flat, from_dict, from_dict_for_play
 from kinetix_dist.config.phases import CHANGES, read_phases
 from kinetix_dist.recipes import RECIPES, recipe
 from kinetix_dist.renamed_settings import (
+    MOVED_VALUES,
     REMOVED,
     REMOVED_VALUES,
     RENAMED,
@@ -39,6 +40,7 @@ def tables(monkeypatch):
     """Tables of their own for a test: `PATHS`, a renamed value, a removed field."""
     monkeypatch.setattr(renamed_settings, "RENAMED", PATHS)
     monkeypatch.setattr(renamed_settings, "RENAMED_VALUES", {("run.device", "cuda"): "gpu"})
+    monkeypatch.setattr(renamed_settings, "MOVED_VALUES", {("ppo.epochs", 0): ("ppo.minibatches", 2)})
     monkeypatch.setattr(renamed_settings, "REMOVED", {"env.haste": Removed(why="it gained nothing", off=(0,))})
     monkeypatch.setattr(
         renamed_settings, "REMOVED_VALUES", {("curriculum.name", "luck"): ("sfl", "plain SFL is as good")}
@@ -64,7 +66,7 @@ def test_every_new_name_exists_and_no_old_one_does():
     sections = {".".join(name.split(".")[:length]) for name in known for length in range(1, 4)}
     assert set(RENAMED.values()) <= sections
     assert not {*RENAMED, *REMOVED} & sections
-    assert {path for path, _ in [*RENAMED_VALUES, *REMOVED_VALUES]} <= sections
+    assert {path for path, _ in [*RENAMED_VALUES, *REMOVED_VALUES, *MOVED_VALUES, *MOVED_VALUES.values()]} <= sections
     assert set(RENAMED_RECIPES.values()) <= set(RECIPES) and not set(RENAMED_RECIPES) & set(RECIPES)
 
 
@@ -135,6 +137,8 @@ def test_old_names_in_files_of_a_person_are_refused(tables, tmp_path):
     )
     with pytest.raises(DesignError, match=r"arm a: ppo.clip_range is now called ppo.clip"):
         runs_of(design)
+    with pytest.raises(RenamedSettingError, match=r"ppo.epochs 0 is now called ppo.minibatches 2; use that"):
+        refuse_old_options({"ppo.epochs": 0})
     with pytest.raises(RenamedSettingError, match=r"ppo.clip_range is now called ppo.clip"):
         with_fields(recipe("tiny"), ("ppo.clip_range=1",))
 

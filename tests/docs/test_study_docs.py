@@ -8,7 +8,7 @@ import pytest
 from kinetix_dist.cli.study import Args
 from kinetix_dist.study.command_file import BUILT_IN, CommandCost, CommandSmall, CommandStudy
 from kinetix_dist.study.library import find_study, study_names
-from kinetix_dist.study.study_file import Cost, Figure, Small, Study
+from kinetix_dist.study.study_file import Cost, Figure, Small, Study, StudyArm
 from tests.helpers import REPOSITORY
 
 STUDIES = (REPOSITORY / "docs" / "studies.md").read_text()
@@ -19,7 +19,10 @@ def _fields(kind, prefix=""):
     return [(f"{prefix}{field.name}", field) for field in dataclasses.fields(kind) if field.name not in IN_WORDS]
 
 
-@pytest.mark.parametrize(("name", "field"), [*_fields(Study), *_fields(Cost, "cost."), *_fields(Figure, "figure.")])
+FIELDS = [*_fields(Study), *_fields(Cost, "cost."), *_fields(Figure, "figure."), *_fields(StudyArm, "arms.")]
+
+
+@pytest.mark.parametrize(("name", "field"), FIELDS)
 def test_every_field_of_a_study_is_documented(name, field):
     rows = [line for line in STUDIES.splitlines() if line.startswith(f"| `{name}` |")]
     assert len(rows) == 1, name

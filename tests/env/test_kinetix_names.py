@@ -22,6 +22,13 @@ from kinetix_dist.env.wrappers.kinetix import (
 SMALL = StaticEnvParams(num_polygons=5, num_circles=2, num_joints=1, num_thrusters=1)
 
 
+def test_without_the_dense_term_the_reward_is_the_sparse_one():
+    for scale, reward in ((0.2, "dense"), (0.0, "sparse")):
+        params = EnvParams(dense_reward_scale=scale)
+        env = make_kinetix_env(ActionType.CONTINUOUS, ObservationType.SYMBOLIC_FLAT, None, params, SMALL)
+        assert env.env.config.reward == reward and env.default_params == params
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("static_env_params", [SMALL, pytest.param(StaticEnvParams(), marks=pytest.mark.slow)])
 def test_the_example_of_the_public_package_runs(static_env_params):

@@ -34,11 +34,19 @@ def test_designed_sets_are_of_their_size(size: str) -> None:
     assert capacity_of(levels) == SIZES[size] and levels.position.shape[0] == len(names)
 
 
+def test_a_set_is_made_of_others() -> None:
+    levels, names = load_level_set("all_designed")
+    assert capacity_of(levels) == SIZES["l"]
+    assert names == [name for size in SIZES for name in load_level_set(f"all_designed_{size}")[1]]
+    assert len(set(names)) == 74
+
+
 def test_designed_levels_are_named_after_their_files_described_and_controllable() -> None:
     for entry in designed_sets().values():
         for file in entry["levels"]:
             level, info = load_level(levels_root() / file)
-            assert info.name == Path(file).stem and info.size == entry["size"] and info.description
+            assert info.name == Path(file).stem and info.description
+            assert info.size == entry["size"] or "sets" in entry
             scene = level.scene
             motors = (
                 scene.joints.active & scene.joints.motor_on & ~scene.joints.is_kind(JointKind.FIXED) & ~level.motor_auto

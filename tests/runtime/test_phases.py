@@ -26,7 +26,7 @@ STEPS = 128  # environment steps of an update before the last phase, 256 in it
 # Update 1 is the first with other steps of PPO, update 3 the first with more worlds and another reward.
 PHASES = (
     PhaseConfig(start=100, learning_rate=3e-3, clip=0.1, entropy_coefficient=0.02, minibatches=4, epochs=1),
-    PhaseConfig(start=3 * STEPS, num_envs=32, dense_reward_scale=0.5, failure_penalty=0.0),
+    PhaseConfig(start=3 * STEPS, num_envs=32, reward="sparse", failure_penalty=0.0),
 )
 NUM_UPDATES = 5
 
@@ -47,7 +47,7 @@ def test_a_phase_begins_with_the_first_update_at_or_after_its_start():
     first, second, third = (schedule.at(update).config for update in (0, 1, 3))
     assert first.ppo == _config().ppo and not first.phases
     assert (second.ppo.clip, second.ppo.minibatches, second.rollout.num_envs) == (0.1, 4, 16)
-    assert (third.ppo, third.rollout.num_envs, third.env.dense_reward_scale) == (second.ppo, 32, 0.5)
+    assert (third.ppo, third.rollout.num_envs, third.env.reward) == (second.ppo, 32, "sparse")
     assert (second.env.failure_penalty, third.env.failure_penalty) == (1.0, 0.0)
 
 
@@ -114,7 +114,7 @@ def test_each_phase_is_noted_and_counted(unbroken):
     assert [row["progress/env_steps"] for row in rows] == [128, 256, 384, 640, 896]
     began = [(event["phase"], event["update"], event["env_steps"]) for event in events(path, "phase_began")]
     assert began == [(1, 1, 128), (2, 3, 384)]
-    changed = "rollout.num_envs 32, env.dense_reward_scale 0.5, env.failure_penalty 0.0"
+    changed = "rollout.num_envs 32, env.reward sparse, env.failure_penalty 0.0"
     assert f"phase 2 begins after 3 updates, 384 env steps: {changed}" in notes[1]
     # What is annealed and what a phase sets multiply: `tiny` lowers the rate from 256 steps on.
     rates = [row["learner/learning_rate"] for row in rows]

@@ -191,9 +191,9 @@ def test_a_killed_rollout_actor_is_replaced_and_its_steps_are_counted_as_dropped
     assert_same_bits(final_arrays(tmp_path / "ray"), final_arrays(tmp_path / "local"))
 
 
-# Parts of a user: an observation and a curriculum that the system does not know
+# Parts of a user: an observation, a reward and a curriculum that the system does not know
 
-PLUGINS = ("examples.own_observation", "examples.own_curriculum")
+PLUGINS = ("examples.own_observation", "examples.own_reward", "examples.own_curriculum")
 
 
 def _config_of_a_user(*, num_updates, **run):
@@ -201,7 +201,7 @@ def _config_of_a_user(*, num_updates, **run):
     config = tiny_config(num_updates=num_updates, plugins=PLUGINS, **run)
     return dataclasses.replace(
         config,
-        env=dataclasses.replace(config.env, observation="from_green", max_steps=5),
+        env=dataclasses.replace(config.env, observation="from_green", reward="goal_less_effort", max_steps=5),
         policy=dataclasses.replace(config.policy, network="flat"),
         curriculum=CurriculumConfig(name="most_failed", levels="designed_s"),
     )

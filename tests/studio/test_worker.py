@@ -452,6 +452,11 @@ BAD_REQUESTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "no run": ("play.open", {"level": {"document": document()}, "policy": {"run": "/nowhere"}}, "not a directory"),
     "unknown field of env": ("play.open", {"level": {"document": document()}, "env": {"size": "l"}}, "env has 'size'"),
     "unknown preset": ("play.open", {"level": {"document": document()}, "env": {"preset": "x"}}, "env: "),
+    "unknown reward": (
+        "play.open",
+        {"level": {"document": document()}, "env": {"reward": "x"}},
+        "env: EnvConfig.reward is 'x'; choose one of dense, sparse, shaped",
+    ),
     "no steps": ("play.open", {"level": {"document": document()}, "env": {"max_steps": 0}}, "it must be 1 or more"),
     "steps of text": ("play.open", {"level": {"document": document()}, "env": {"max_steps": "9"}}, "give a number"),
     "negative seed": ("play.open", {"level": {"document": document()}, "seed": -1}, "seed is -1"),

@@ -1,6 +1,7 @@
 """Studies that several tests use, as text of the file, and run directories with evaluations that are made up."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from kinetix_dist.study.library import find_study, read_study, study_names
@@ -33,6 +34,12 @@ name = "plain"
 name = "wide"
 options = {"ppo.clip" = 0.3}
 """
+# `wide` is trained for half of the steps of `plain` and evaluated on one of its two sets.
+OWN_LENGTH = (
+    TEXT.replace("env_steps = 256", "env_steps = 512")
+    .replace('sets = ["designed_s"]', 'sets = ["designed_s", "quickstart_s"]')
+    .replace('name = "wide"', 'name = "wide"\nenv_steps = 256\nsets = ["designed_s"]')
+)
 SMALL = """
 [small]
 recipe = "tiny"
@@ -55,10 +62,10 @@ def plan(folder: Path, content: str = TEXT, **choices) -> Plan:
     return plan_of(read_study(write(folder, content)), **choices)
 
 
-def evaluation(phase: str, update: int, env_steps: int, solved: list[int], attempts: int = 1) -> dict:
-    names = [str(index) for index in range(len(solved))]
-    sets = {"designed_s": {"names": names, "solved": solved, "attempts": attempts}}
-    return {"phase": phase, "update": update, "env_steps": env_steps, "sets": sets}
+def evaluation(phase: str, update: int, sets: Sequence[str], solved: list[int]) -> dict:
+    """Evaluation with one attempt at each level; an update has 128 steps."""
+    result = {"names": [str(index) for index in range(len(solved))], "solved": solved, "attempts": 1}
+    return {"phase": phase, "update": update, "env_steps": 128 * update, "sets": dict.fromkeys(sets, result)}
 
 
 def rated(rate: float) -> list[int]:
@@ -67,7 +74,7 @@ def rated(rate: float) -> list[int]:
 
 
 def trained(path: Path, run: Run, rates: list[float], *, seconds_an_update: float = 1.0, update_at=lambda n: n) -> None:
-    """Files of a run that was evaluated at these rates, the first before training; an update has 128 steps."""
+    """Files of a run that was evaluated at these rates on all of its sets, the first before training."""
     directory = directory_of(path, run)
     (directory / "metrics").mkdir(parents=True)
     (directory / "config.json").write_text(json.dumps({"hash": run.config.hash}))
@@ -75,7 +82,7 @@ def trained(path: Path, run: Run, rates: list[float], *, seconds_an_update: floa
     for number, rate in enumerate(rates):
         phase = "before" if number == 0 else "after" if number == len(rates) - 1 else "training"
         update = update_at(number)
-        lines.append(evaluation(phase, update, 128 * update, rated(rate)))
+        lines.append(evaluation(phase, update, run.config.evaluation.sets, rated(rate)))
         if number:
             seconds = 7.0 + seconds_an_update * update
             rows.append(

@@ -55,7 +55,8 @@ def test_an_arm_trains_and_is_evaluated(study, arm):
         rows = [row for row in csv.DictReader(file) if row["arm"] == arm]
     small = find_study(study).as_small
     points = {(row["set"], int(row["point"])) for row in rows}
-    assert points == {(name, number) for name in small.sets for number in range(small.num_points + 1)}
+    numbers = range(small.num_points_of(arm) + 1)
+    assert points == {(name, number) for name in small.sets_of(arm) for number in numbers}
 
 
 @pytest.mark.parametrize("study", OF_TRAINING)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from kinetix_dist.study.cost import seconds_left
 from kinetix_dist.study.driver import StudyTraining, write_results
 from kinetix_dist.sweep.run_loop import RunsFailedError, RunsStoppedError
 from kinetix_dist.sweep.slots import Slot
-from tests.study.studies import TEXT, plan, trained, write
+from tests.study.studies import OWN_LENGTH, TEXT, plan, trained, write
 from tests.sweep.stand_in_training import replace_training
 
 SLOTS = [Slot(name="cpu 0"), Slot(name="cpu 1")]
@@ -163,6 +164,42 @@ def test_a_study_of_levels_has_a_row_per_level_and_a_panel_per_arm(tmp_path):
     assert len(found) == 2 * 20 and sum(int(row["solved_at_point_2"]) for row in found if row["arm"] == "wide") == 10
     with Image.open(path / "mine.png") as image:
         assert image.height > 2.5 * image.width / 2  # three panels, one below the other
+
+
+def test_arms_of_their_own_length_and_sets(tmp_path):
+    content = OWN_LENGTH.replace("[cost]", '[figure]\nkind = "levels"\n[cost]')
+    planned, path = plan(tmp_path, content, seeds=1), tmp_path / "out"
+    plain, wide = planned.runs
+    assert seconds_left(path, planned) == {"plain-seed1": 6 + 512 / 64, "wide-seed1": 6 + 256 / 64}
+    trained(path, wide, [0.0, 0.3, 0.5])
+    trained(path, plain, [0.0, 0.1, 0.2])
+    write_results(path, planned)
+    text = " ".join((path / "mine.md").read_text().split())
+    assert "1 of 2 runs" in text and "plain-seed1 did not finish: it has 256 of 512 steps." in text
+    shutil.rmtree(path / "arms" / plain.name)
+    trained(path, plain, [0.0, 0.1, 0.2, 0.3, 0.4])
+    write_results(path, planned)
+    text = " ".join((path / "mine.md").read_text().split())
+    assert "Solved of designed_s, %: plain (512 steps) 40.0" in text and "wide (256 steps) 50.0" in text
+    assert "Solved of quickstart_s, %: plain (512 steps) 40.0" in text and text.count("wide less plain") == 1
+    # At the end of each; over training at the steps of both: the mean of 30 and 50 less that of 10 and 20.
+    assert "wide less plain: +10.0" in text and "+25.0" in text.split("at the end, ")[1]
+    assert "Arms are trained for different steps" in text and "2 of 2 runs" in text and "missing" not in text
+    assert len(rows(path / "mine.csv")) == 2 * 5 + 3
+    (first, *_) = [row for row in rows(path / "mine_levels.csv") if row["arm"] == "wide"]
+    assert first["solved_at_point_2"] == "1" and first["solved_at_point_4"] == ""
+    with Image.open(path / "mine.png") as image:
+        assert np.asarray(image.convert("L")).std() > 5
+
+
+def test_a_reference_that_lacks_a_set_has_no_differences_there(tmp_path):
+    planned = plan(tmp_path, OWN_LENGTH.replace('reference = "plain"', 'reference = "wide"'), seeds=1)
+    path = tmp_path / "out"
+    for run in planned.runs:
+        trained(path, run, [0.0, *[0.5] * planned.last_point(run)])
+    write_results(path, planned)
+    text = " ".join((path / "mine.md").read_text().split())
+    assert text.count("plain less wide") == 1 and "Solved of quickstart_s, %: plain (512 steps) 50.0" in text
 
 
 def test_evaluations_that_are_missing_are_named(tmp_path):

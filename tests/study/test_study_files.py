@@ -10,7 +10,7 @@ from kinetix_dist.recipes import recipe
 from kinetix_dist.study.library import STUDIES, find_study, read_study, study_names
 from kinetix_dist.study.plan import SET_BY_STUDY, plan_of
 from kinetix_dist.sweep.arms import train_arguments
-from tests.study.studies import OF_TRAINING, SMALL, TEXT, plan, trained, write
+from tests.study.studies import OF_TRAINING, OWN_LENGTH, SMALL, TEXT, plan, trained, write
 
 TINY_STEPS = 128  # environment steps of an update of the recipe `tiny`
 
@@ -61,9 +61,11 @@ def test_the_command_of_an_arm_gives_its_configuration(name, tmp_path):
     for study in (find_study(name), find_study(name).as_small):
         for run in plan_of(study, seeds=1).runs:
             assert parse(train_arguments(run, study.recipe, tmp_path)).config == run.config
-            assert run.config.run.total_env_steps == pytest.approx(study.env_steps, rel=0.05)
+            arm = run.arm.name
+            assert run.config.run.total_env_steps == pytest.approx(study.env_steps_of(arm), rel=0.05)
             updates = run.config.run.total_env_steps / run.config.rollout.steps_per_update
-            assert updates == study.num_points * run.config.evaluation.every
+            assert updates == study.num_points_of(arm) * run.config.evaluation.every
+            assert run.config.evaluation.sets == study.sets_of(arm)
 
 
 # What is refused
@@ -98,6 +100,17 @@ def test_a_file_that_is_none(capsys, tmp_path):
         ("every_steps = 128", "every_steps = 0", "env_steps is 256 and every_steps 0"),
         ("env_steps = 256\nevery_steps = 128", "env_steps = 320\nevery_steps = 160", "plays 128 environment steps"),
         ("seeds = 2", "seeds = 0", "Study.seeds is 0; it must be 1 or more"),
+        (
+            'name = "wide"',
+            'name = "wide"\nenv_steps = 200',
+            "env_steps of arm wide is 200 and every_steps 128; give a multiple",
+        ),
+        ('name = "wide"', 'name = "wide"\nenv_steps = 0', "env_steps of arm wide is 0 and every_steps 128"),
+        (
+            'name = "wide"',
+            'name = "wide"\nsets = ["random_s"]',
+            "arm wide has set random_s, which is not one of the sets; add it to them",
+        ),
         ("seeds = 2", "format = 2", "format is 2; this version reads format 1"),
         ("seeds = 2", "speed = 2", "config field speed is unknown"),
         ("steps_per_second = 64.0", "steps_per_second = 0.0", "Cost.steps_per_second is 0.0; it must be above 0"),
@@ -196,6 +209,34 @@ def test_words_and_numbers_of_seeds_are_no_part_of_the_hash(tmp_path):
         assert plan(tmp_path, TEXT.replace(old, new)).hash == before, old
     for old, new in (("0.3", "0.4"), ("env_steps = 256", "env_steps = 384"), ("designed_s", "quickstart_s")):
         assert plan(tmp_path, TEXT.replace(old, new)).hash != before, old
+
+
+def test_an_arm_has_steps_and_sets_of_its_own(tmp_path):
+    planned = plan(tmp_path, OWN_LENGTH, seeds=1)
+    assert [run.config.run.total_env_steps for run in planned.runs] == [512, 256]
+    assert [run.config.evaluation.sets for run in planned.runs] == [("designed_s", "quickstart_s"), ("designed_s",)]
+    assert [planned.last_point(run) for run in planned.runs] == [4, 2]
+    other = OWN_LENGTH.replace("env_steps = 256", "env_steps = 128")
+    assert plan(tmp_path, other, seeds=1).hash != planned.hash
+
+
+def test_results_from_before_arms_had_their_own_steps_go_on(tmp_path, monkeypatch):
+    hashed = []
+    monkeypatch.setattr("kinetix_dist.study.plan.short_hash", hashed.append)
+    plan(tmp_path)
+    assert hashed[0][0]["arms"] == [{"name": "plain", "options": {}}, {"name": "wide", "options": {"ppo.clip": 0.3}}]
+
+
+def test_the_small_version_keeps_the_shares_and_sets_of_arms(tmp_path, capsys):
+    small = SMALL.replace("env_steps = 128", "env_steps = 256").replace("quickstart_s", "designed_s")
+    made = read_study(write(tmp_path, OWN_LENGTH + small)).as_small
+    assert [made.env_steps_of(arm.name) for arm in made.arms] == [256, 128]
+    assert [made.sets_of(arm.name) for arm in made.arms] == [("designed_s",)] * 2
+    line = refusal(capsys, write(tmp_path, OWN_LENGTH + SMALL), "--plan")
+    assert "small.sets has none of the sets of arm wide; add one, or leave it out of arms" in line
+    short = small.replace("env_steps = 256", "env_steps = 128")
+    line = refusal(capsys, write(tmp_path, OWN_LENGTH + short), "--plan")
+    assert "small: env_steps of arm wide is 64 and every_steps 128; give a multiple" in line
 
 
 def test_the_small_version_has_its_own_name_and_overrides_arms(tmp_path):

@@ -56,7 +56,7 @@ class EnvParams:
     """Parameters of an episode."""
 
     max_timesteps: int = struct.field(pytree_node=False, default=256)
-    dense_reward_scale: float = struct.field(pytree_node=False, default=0.1)
+    dense_reward_scale: float = struct.field(pytree_node=False, default=0.1)  # 0: the reward "sparse"
 
     @property
     def max_steps_in_episode(self) -> int:
@@ -114,7 +114,8 @@ class KinetixEnv(GymnaxEnv):
     @property
     def default_params(self) -> Any:
         config = self.env.config
-        return EnvParams(max_timesteps=config.max_steps, dense_reward_scale=config.dense_reward_scale)
+        scale = config.dense_reward_scale if config.reward == "dense" else 0.0
+        return EnvParams(max_timesteps=config.max_steps, dense_reward_scale=scale)
 
     @functools.partial(jax.jit, static_argnames=("self",))
     def reset(
@@ -182,13 +183,15 @@ def make_kinetix_env(
     next one; without it `step` needs no level.
     """
     params, static = env_params or EnvParams(), static_env_params or StaticEnvParams()
+    scale = params.dense_reward_scale
+    reward: dict[str, Any] = {"dense_reward_scale": scale} if scale else {"reward": "sparse"}
     config = EnvConfig(
         size=static.size,
         frame_skip=static.frame_skip,
         max_steps=params.max_timesteps,
-        dense_reward_scale=params.dense_reward_scale,
         action_space=action_type.value,
         observation=observation_type.value,
+        **reward,
     )
     return KinetixEnv(config, reset_fn, static, auto_reset=auto_reset)
 

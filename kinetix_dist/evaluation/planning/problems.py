@@ -16,8 +16,8 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.outcome import goal_distance
 from kinetix_dist.env.records import EnvState, PreparedLevels
-from kinetix_dist.env.reward import goal_distance
 from kinetix_dist.level.level import Level
 
 NUM_CELLS = 2**14  # of a problem, see explore_round.py

@@ -19,8 +19,8 @@ import numpy as np
 from jax2d.scene import Array, stack_worlds
 from kinetix_dist.env.action_spaces.space import controls_of
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.outcome import goal_distance, judge
 from kinetix_dist.env.records import PreparedLevels
-from kinetix_dist.env.reward import goal_distance, judge
 from kinetix_dist.level.level import (
     NUM_MOTOR_COLOURS,
     NUM_THRUSTER_COLOURS,

@@ -156,6 +156,10 @@ WARNINGS = {
         "numbers of actions were out of range and acted as off",
         "the policy and env.action_space do not belong together",
     ),
+    "invalid_rewards": (
+        "rewards were not finite and counted as 0",
+        "correct the reward that env.reward names, or lower env.dense_reward_scale",
+    ),
     "invalid_controls": (
         "controls were out of range or nan",
         "look at the levels with `kinetix-dist levels validate`",

@@ -83,14 +83,14 @@ class Request:
 
 
 KEYS, RANDOM, NOOP = "keys", "random", "noop"
-# Fields of `env` besides "run": numbers by their types, and a preset of the solver.
+# Fields of `env` besides "run": numbers by their types, the name of a reward, and a preset of the solver.
 NUMBERS = {
     "frame_skip": int,
     "max_steps": int,
     "dense_reward_scale": (int, float),
     "failure_penalty": (int, float),
 }
-ENV_FIELDS = (*NUMBERS, "preset")
+ENV_FIELDS = (*NUMBERS, "reward", "preset")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

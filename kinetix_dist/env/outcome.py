@@ -1,13 +1,12 @@
-"""Reward and the end of an episode: green shall touch blue and keep off red.
+"""Outcome of a step and the end of an episode: green shall touch blue and keep off red.
 
-    touched blue                      +1 and the episode ends (solved)
-    touched red                       -failure_penalty and the episode ends (failed); red wins when both happen in one
-                                      step. It is 1 in the paper
-    each step                         kappa (d_t - d_{t+1}), d the distance of the centres of green and blue
-    `max_steps` without either         the episode ends (timed out)
+    touched blue                      the episode ends (solved)
+    touched red                       the episode ends (failed); red wins when both happen in one step
+    `max_steps` without either        the episode ends (timed out)
 
 (Paper, section "RL Environment Specification".) A touch in any physics step of an environment step counts. With
-several green or blue shapes d is that of the closest pair; without a pair it is 0, and so is the dense reward.
+several green or blue shapes the distance is that of the closest pair; without a pair it is 0. `rewards/` says what
+these are worth.
 """
 
 from __future__ import annotations
@@ -70,12 +69,3 @@ def judge(touching: Array, masks: RoleMasks, *, is_finite: Array, is_last_step: 
     solved = is_finite & touched_blue & ~touched_red
     timed_out = is_finite & is_last_step & ~failed & ~solved
     return Outcome(solved=solved, failed=failed, timed_out=timed_out, unstable=~is_finite)
-
-
-def reward_of(
-    outcome: Outcome, distance_before: Array, distance_after: Array, *, dense_scale: float, failure_penalty: float
-) -> Array:
-    """[W] float32. `distance_after` is that of the state the step led to, before any reset."""
-    sparse = outcome.solved.astype(jnp.float32) - failure_penalty * outcome.failed
-    dense = dense_scale * (distance_before - distance_after)
-    return jnp.where(outcome.unstable, 0.0, sparse + dense)

@@ -1,4 +1,4 @@
-"""Outcome and reward of single steps, worked by hand."""
+"""Outcomes of single steps and distances, worked by hand."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jax2d.scene import pack_bits, touch_matrix
-from kinetix_dist.env.reward import Outcome, goal_distance, judge, reward_of, role_masks
+from kinetix_dist.env.outcome import Outcome, goal_distance, judge, role_masks
 from kinetix_dist.level.level import Role
 
 ROLES = jnp.array([[Role.NONE, Role.GREEN, Role.BLUE, Role.RED]])
@@ -53,20 +53,9 @@ def test_the_last_step_times_out_unless_something_else_ends_the_episode() -> Non
     assert names(outcome_of_touches((GREEN, RED), is_last_step=True)) == ["failed"]
 
 
-def test_numbers_that_are_not_finite_end_an_episode_without_reward() -> None:
+def test_numbers_that_are_not_finite_end_an_episode() -> None:
     outcome = outcome_of_touches((GREEN, BLUE), is_finite=False, is_last_step=True)
     assert names(outcome) == ["unstable"]
-    reward = reward_of(outcome, jnp.array([1.0]), jnp.array([jnp.nan]), dense_scale=0.1, failure_penalty=1.0)
-    assert float(reward[0]) == 0.0
-
-
-@pytest.mark.parametrize("penalty", [1.0, 0.25, 0.0])
-def test_reward_is_the_sparse_one_plus_kappa_times_the_way_gained(penalty: float) -> None:
-    before, after = jnp.array([2.0]), jnp.array([1.5])
-    cases = {(): 0.05, ((GREEN, BLUE),): 1.05, ((GREEN, RED),): 0.05 - penalty}
-    for pairs, expected in cases.items():
-        reward = reward_of(outcome_of_touches(*pairs), before, after, dense_scale=0.1, failure_penalty=penalty)
-        assert float(reward[0]) == pytest.approx(expected)
 
 
 def test_distance_is_that_of_the_centres_of_green_and_blue() -> None:
