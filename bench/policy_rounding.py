@@ -105,7 +105,7 @@ def rounding_of(trained: Trained, config: TrainConfig, *, is_checked: bool) -> d
     curriculum = make_curriculum(config, env, policy, mesh)
     players = Players(env, policy, curriculum)
     rollout = RolloutCore(config, players, mesh, groups=range(config.rollout.num_groups))
-    batch, _, _ = rollout.play(params, jax.tree.map(jnp.asarray, curriculum.init()), 0)
+    batch, _, _, _ = rollout.play(params, jax.tree.map(jnp.asarray, curriculum.init()), 0)
     program = _Program(policy, env.observation, env.action_distribution, config.ppo, rollout.division)
     compute = log_ratios_of(program, mesh, *batch.trajectory.rewards.shape)
     first, second = (compute(params, batch, epoch) for epoch in (0, 1))

@@ -31,10 +31,11 @@ class Trajectory:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StaticInput:
-    """Parts of the learner's input that levels fix, of W worlds."""
+    """Parts of the learner's input that are the same in all steps of an update, of W worlds."""
 
     obs: Any  # [W, ...], see `Observation.static`
     bound_heads: Array | None = None  # [W, heads] bool, see `ActionSpace.bound_heads`; None: all heads count
+    memory: Array | None = None  # [W, size] of the policy before the first step; None: worlds begin with an episode
 
 
 @jax.tree_util.register_dataclass

@@ -11,7 +11,9 @@ all 8 that are played: half of the worlds finish one episode, not solved, the ot
                      too high among the levels that were chosen by it
 
 A first episode that has not ended with the last step counts as not solved: where an episode may have more steps than
-are played, solved first episodes / worlds is the chance to solve a level within the steps that are played.
+are played, solved first episodes / worlds is the chance to solve a level within the steps that are played. Steps are
+those from one reset of the worlds to the next: where worlds go on from update to update (`rollout.reset_every`), the
+outcomes of its updates are `joined`.
 """
 
 from __future__ import annotations
@@ -55,6 +57,18 @@ def add_step(outcome: LevelOutcome, done: Array, info: Any) -> LevelOutcome:
         return_sum=outcome.return_sum + jnp.where(done, info.episode_return, 0.0),
         length_sum=outcome.length_sum + jnp.where(done, info.episode_length, 0),
         physics=_add_physics(outcome.physics, info),
+    )
+
+
+def joined(before: LevelOutcome, after: LevelOutcome) -> LevelOutcome:
+    """Outcomes of the steps of `before` and of those of `after`, which went on from there."""
+    had_ended = before.num_finished > 0
+    sums = ("num_finished", "num_solved", "return_sum", "length_sum")
+    firsts = ("first_solved", "first_failed", "first_return")
+    return LevelOutcome(
+        **{name: jnp.where(had_ended, getattr(before, name), getattr(after, name)) for name in firsts},
+        **{name: getattr(before, name) + getattr(after, name) for name in sums},
+        physics=jax.tree.map(jnp.add, before.physics, after.physics),
     )
 
 

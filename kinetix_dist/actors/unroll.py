@@ -34,6 +34,7 @@ class Worlds(NamedTuple):
     obs: Any  # [W, ...], as `env.reset` or the last unroll gave it
     numbers: Array | None = None  # [W] of these worlds in the whole batch; None: from 0 on
     bound_heads: Array | None = None  # [W, dimensions] bool, those whose log-probability counts; None: all
+    memory: Array | None = None  # [W, size] of the policy; None: that at the start of an episode
 
 
 class Played(NamedTuple):
@@ -42,6 +43,7 @@ class Played(NamedTuple):
     trajectory: Trajectory
     env_state: EnvState
     obs: Any
+    memory: Array | None  # [W, size] after the last step; None: the policy has none
     last_value: Array  # [W]
     outcome: LevelOutcome  # of the episodes that ended
 
@@ -56,7 +58,7 @@ def unroll(
     *,
     keep_timeouts: bool = False,
 ) -> Played:
-    """`num_steps` steps of W worlds, each at the start of an episode: what a policy remembers begins with them.
+    """`num_steps` steps of W worlds from the states that they are in.
 
     key: a typed key, used up by this call (fold in a counter for the next). keep_timeouts: whether the trajectory says
     which episodes ended at the time limit.
@@ -88,12 +90,13 @@ def unroll(
         )
         return (env_state, next_obs, reset_memory(memory, done), add_step(outcome, done, info)), taken
 
-    carry = (worlds.env_state, worlds.obs, initial_memory(policy, num_worlds), no_outcomes(num_worlds))
+    memory = initial_memory(policy, num_worlds) if worlds.memory is None else worlds.memory
+    carry = (worlds.env_state, worlds.obs, memory, no_outcomes(num_worlds))
     (env_state, obs, memory, outcome), trajectory = invariants.scan(
         step, carry, jnp.arange(num_steps, dtype=jnp.uint32)
     )
     _, last_value, _ = play(params, env.observe(prepared, obs), memory)
-    return Played(trajectory, env_state, obs, last_value, outcome)
+    return Played(trajectory, env_state, obs, memory, last_value, outcome)
 
 
 def score(

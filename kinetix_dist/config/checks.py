@@ -87,6 +87,22 @@ def check_changed_reward(phase: int, changed: Mapping[str, Any], env: EnvConfig)
         )
 
 
+def check_resets(run: RunConfig, rollout: RolloutConfig, curriculum: CurriculumConfig, kind: type[Curriculum]) -> None:
+    """Worlds that go on from update to update stay where they are, and the curriculum does without their outcomes."""
+    if rollout.reset_every == 1:
+        return
+    if run.placement == "split":
+        raise ConfigError(
+            f"rollout.reset_every is {rollout.reset_every}, but in placement split worlds are lost with their rollout "
+            "actor, and a batch could not be played again; set it to 1 or use run.placement colocated"
+        )
+    if kind.observes:
+        raise ConfigError(
+            f"rollout.reset_every is {rollout.reset_every}, but curriculum {curriculum.name!r} observes whole levels "
+            "in every update; set it to 1, or use one that does not observe, such as 'sfl' or 'domain_randomization'"
+        )
+
+
 def check_episode_lengths(
     rollout: RolloutConfig, env: EnvConfig, curriculum: CurriculumConfig, kind: type[Curriculum]
 ) -> None:

@@ -1,8 +1,9 @@
 """Section `phases` of a run's configuration: from an environment step on, other settings (docs/training.md, "Phases").
 
-A phase begins with the first update that begins at or after its `start`. Which one that is follows from the
-configuration alone, and so does everything in it: a checkpoint holds nothing of phases, and a run that is resumed, on
-either side of a change, does what the unbroken one does. Settings that a phase does not name stay as they were before.
+A phase begins with the first update that begins at or after its `start` and with new levels (`rollout.reset_every`).
+Which one that is follows from the configuration alone, and so does everything in it: a checkpoint holds nothing of
+phases, and a run that is resumed, on either side of a change, does what the unbroken one does. Settings that a phase
+does not name stay as they were before.
 
     update    0 ... a-1     a ... b-1     b ...
     config    the run's     phase 1       phase 2          Schedule.at(update).config
@@ -59,6 +60,9 @@ class PhaseConfig:
 class _Rollout(Protocol):
     @property
     def steps_per_update(self) -> int: ...
+
+    @property
+    def reset_every(self) -> int: ...
 
 
 class PhasedConfig(Protocol):
@@ -153,11 +157,14 @@ def _following(
         raise ValueError(f"{name} starts at {phase.start} environment steps, {what}; starts have to rise")
     if not phase.changed:
         raise ValueError(f"{name} changes nothing; set one of {', '.join(CHANGES)}, or leave the phase out")
-    num_updates = -(-(phase.start - before.env_steps) // before.config.rollout.steps_per_update)
+    rollout = before.config.rollout
+    num_resets = -(-(phase.start - before.env_steps) // (rollout.reset_every * rollout.steps_per_update))
+    num_updates = num_resets * rollout.reset_every
     if num_updates < 1:
         raise ValueError(
             f"{name} starts at {phase.start} environment steps, within the first update of phase {number - 1} "
-            f"(until {before.env_steps_after(before.first_update + 1)}), which would have none; start it later"
+            f"(until {before.env_steps_after(before.first_update + rollout.reset_every)}), which would have none; "
+            "start it later"
         )
     first_update = before.first_update + num_updates
     try:

@@ -22,6 +22,7 @@ class RolloutConfig:
     num_envs: int = setting(2048, minimum=1)  # worlds, over all devices
     num_steps: int = setting(256, minimum=1)  # environment steps of each world in an update
     num_groups: int = setting(64, minimum=1)  # of worlds, with levels drawn from a key each; no more devices can play
+    reset_every: int = setting(1, minimum=1)  # updates from one reset of all worlds, with new levels, to the next
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -41,6 +42,19 @@ class RolloutConfig:
     @property
     def steps_per_update(self) -> int:
         return self.num_envs * self.num_steps
+
+    @property
+    def steps_between_resets(self) -> int:
+        """Environment steps of each world on its level."""
+        return self.num_steps * self.reset_every
+
+    def last_reset(self, update: int) -> int:
+        """The update that began with the reset by which its worlds, and those of `update`, got their levels."""
+        return update - update % self.reset_every
+
+    def resets_before(self, update: int) -> bool:
+        """An update begins with new levels; otherwise its worlds go on from the update before."""
+        return self.last_reset(update) == update
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

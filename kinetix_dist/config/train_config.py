@@ -48,6 +48,7 @@ class TrainConfig:
         checks.check_action_space(env, self.policy, self.ppo)
         checks.check_network(env, self.policy)
         checks.check_reward(env, self.ppo)
+        checks.check_resets(run, rollout, curriculum, self.curriculum_class)
         checks.check_episode_lengths(rollout, env, curriculum, self.curriculum_class)
         checks.check_curators(run, curriculum, self.curriculum_class)
         checks.check_rollout_actors(run, rollout)
@@ -58,14 +59,18 @@ class TrainConfig:
 
     @property
     def cut_episodes(self) -> str:
-        """A line about episodes that an update does not play to their end; "": there are none."""
-        num_steps, max_steps = self.rollout.num_steps, self.env.max_steps
+        """A line about episodes that are not played to their end; "": there are none."""
+        rollout, max_steps = self.rollout, self.env.max_steps
+        num_steps = rollout.steps_between_resets
         if num_steps >= max_steps:
             return ""
+        resets = "every update begins its levels anew"
+        if rollout.reset_every > 1:
+            resets = f"levels begin anew every {rollout.reset_every} updates"
         return (
-            f"rollout.num_steps is {num_steps} and env.max_steps {max_steps}: every update begins its levels anew, so "
-            f"that what comes after step {num_steps} of an episode is never learned from; raise the one or lower the "
-            "other"
+            f"rollout.num_steps is {rollout.num_steps} and env.max_steps {max_steps}: {resets}, so "
+            f"that what comes after step {num_steps} of an episode is never learned from; raise the one or "
+            "rollout.reset_every, or lower the other"
         )
 
     def check_generator(self) -> None:
@@ -136,6 +141,15 @@ class StoredConfig(TrainConfig):
         check_finite(self)
 
 
+# Settings that came later, with the value at which a run is what it was before them: then they are no part of its hash,
+# and runs of earlier versions go on.
+_NEUTRAL = {
+    ("curriculum", "filter_noop"): True,
+    ("rollout", "reset_every"): 1,
+    ("ppo", "noise_scale"): False,
+}
+
+
 def numbers_of(config: TrainConfig) -> dict[str, Any]:
     """Settings that the parameters after k updates depend on, as plain values."""
     sections = to_dict(config)
@@ -143,8 +157,9 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     for section in OWN_SECTIONS:
         if section not in config.curriculum_class.sections:
             del counted["curriculum"][section]
-    if config.curriculum.filter_noop:  # as in runs from before this setting, which go on
-        del counted["curriculum"]["filter_noop"]
+    for (section, field), neutral in _NEUTRAL.items():
+        if counted[section][field] == neutral:
+            del counted[section][field]
     del counted["env"]["shaping_discount"]  # where it counts it is ppo.discount
     counted["env"] = _before_rewards(counted["env"], usual=EnvConfig())
     phases = [_before_rewards(phase, usual=PhaseConfig(start=0)) for phase in sections["phases"]]

@@ -23,7 +23,7 @@ import numpy as np
 
 from kinetix_dist import prng
 from kinetix_dist.checkpoint.manifest import MANIFEST_NAME
-from kinetix_dist.config import TrainConfig
+from kinetix_dist.config import ConfigError, TrainConfig
 from kinetix_dist.errors import UserError
 from kinetix_dist.evaluation.evaluate import evaluate
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player
@@ -143,6 +143,11 @@ class Specialists:
     """
 
     def __init__(self, config: TrainConfig, *, stop_at: float = 0.0) -> None:
+        if config.rollout.reset_every > 1:
+            raise ConfigError(
+                f"rollout.reset_every is {config.rollout.reset_every}; specialists play their level from its start in "
+                "every update: set it to 1"
+            )
         check_memory(config, 1)
         count_compile_seconds()
         self._config = config
@@ -217,7 +222,7 @@ class Specialists:
         )
 
     def _update(self, state: Any, number: int) -> dict[str, float]:
-        batch, _, sums = self._rollout.play(self._learner.params, state, number)
+        batch, _, sums, _ = self._rollout.play(self._learner.params, state, number)
         metrics = self._learner.learn(*batch, env_steps=self._env_steps(number))
         return training_metrics(
             local_values(sums),

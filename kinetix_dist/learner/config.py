@@ -50,6 +50,7 @@ class PpoConfig:
     mask_unbound_heads: bool = False  # leave colours that a level does not use out of ratio, clip and entropy
     bootstrap_timeouts: bool = False  # an episode that ends at the time limit is worth as much as the state before
     average_updates: int = setting(0, minimum=0)  # over which parameters are averaged for evaluation; 0: none
+    noise_scale: bool = False  # report learner/gradient_noise_scale; one device computes each gradient in two halves
     max_kl: float = setting(0.0, minimum=0)  # mean KL of an update above which the rate falls for good; 0: never
     anneal: AnnealConfig = dataclasses.field(default_factory=AnnealConfig)
 
@@ -72,6 +73,11 @@ class PpoConfig:
                 f"a recurrent policy learns from whole worlds: {num_worlds} worlds give {num_worlds // shards} to each "
                 f"of {shards} virtual shards, which cannot be divided into {self.minibatches} minibatches; raise "
                 "rollout.num_envs, or lower ppo.virtual_shards or ppo.minibatches"
+            )
+        if self.noise_scale and (num_worlds if whole_worlds else num_steps * num_worlds) < 2 * self.minibatches:
+            raise ValueError(
+                f"ppo.noise_scale compares parts of a minibatch, but {num_steps} steps of {num_worlds} worlds in "
+                f"{self.minibatches} minibatches leave one part each; lower ppo.minibatches or leave it out"
             )
         samples = num_steps * num_worlds // shards
         if samples % self.minibatches:

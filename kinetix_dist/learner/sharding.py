@@ -102,6 +102,19 @@ def spread_worlds(tree: Any, mesh: Mesh, division: Division, *, axis: int = 0) -
     return shard_worlds(jax.tree.map(place, tree), mesh, axis=axis)
 
 
+def own_worlds(tree: Any, mesh: Mesh, division: Division) -> Any:
+    """Worlds of this process as numpy, each once and in order, from arrays that `spread_worlds` or a program gave."""
+    mine = np.array([device.process_index == jax.process_index() for device in mesh.devices.flat])
+    is_counted = division.is_counted[mine].reshape(-1)
+
+    def take(x: jax.Array) -> np.ndarray:
+        shards = sorted(x.addressable_shards, key=lambda shard: shard.index[0].start or 0)
+        rows = np.concatenate([np.asarray(shard.data) for shard in shards])
+        return rows[np.repeat(is_counted, len(rows) // len(is_counted))]
+
+    return jax.tree.map(take, tree)
+
+
 def own_rows(mesh: Mesh, division: Division, num_worlds: int) -> np.ndarray:
     """Number of the world in each slot of this process's devices, of all worlds, each once and in order."""
     mine = [device.process_index == jax.process_index() for device in mesh.devices.flat]

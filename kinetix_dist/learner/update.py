@@ -31,6 +31,7 @@ from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.env.action_spaces import ActionDistribution
 from kinetix_dist.env.observations import Observation
+from kinetix_dist.learner import noise_scale
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.gae import gae
@@ -169,8 +170,8 @@ def _update(
     flat = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), (trajectory, advantages, targets))
     minibatch_size = num_samples // config.minibatches  # of all devices
     is_counted = _counted_of_minibatch(program, num_steps, num_worlds)
-    # Worlds begin an update with an episode.
-    is_first = jnp.roll(trajectory.done_after, 1, axis=0).at[0].set(True).reshape(-1)
+    # Worlds begin an update with an episode, or with a memory: that of their first step.
+    is_first = jnp.roll(trajectory.done_after, 1, axis=0).at[0].set(static.memory is None).reshape(-1)
     flat_params, unravel = ravel_pytree(state.params)
     key = prng.fold_in(prng.wrap_key_data(state.key), state.num_updates)
     now = sizes(config, state)
@@ -180,11 +181,10 @@ def _update(
         offset, scale = _advantage_statistics(advantages.reshape(-1)[index], is_counted, minibatch_size, config)
         return jax.lax.scan(minibatch, carry, (index, offset, scale))
 
-    def minibatch(carry: tuple[Array, Any], at: tuple[Array, Array, Array]) -> tuple[tuple[Array, Any], Array]:
-        flat_params, opt_state = carry
-        index, offset, scale = at
+    def share(params: Any, index: Array, offset: Array, scale: Array) -> tuple[Array, Array]:
+        """Share of these samples in the gradient of the mean loss and in the means of LOSS_METRICS."""
         steps, minibatch_advantages, minibatch_targets = jax.tree.map(lambda x: x[index], flat)
-        fixed = jax.tree.map(lambda x: x[index % num_worlds], static)
+        fixed = jax.tree.map(lambda x: x[index % num_worlds], dataclasses.replace(static, memory=None))
         samples = Samples(
             actions=steps.actions,
             old_log_probs=steps.log_probs,
@@ -195,18 +195,44 @@ def _update(
             bound_heads=fixed.bound_heads,
         )
         obs = program.observation.join(fixed.obs, steps.dynamic_obs)
-        memory = {"is_first": is_first[index].reshape(num_steps, -1)} if program.is_recurrent else {}
-        grads, terms = _gradient(program, now, unravel(flat_params), obs, samples, minibatch_size, memory)
+        memory = {}
+        if program.is_recurrent:
+            memory = {"is_first": is_first[index].reshape(num_steps, -1)}
+            if static.memory is not None:
+                memory["memory"] = static.memory[index[: memory["is_first"].shape[1]] % num_worlds]
+        grads, terms = _gradient(program, now, params, obs, samples, minibatch_size, memory)
+        return ravel_pytree(grads)[0], terms
+
+    def minibatch(carry: tuple[Array, Any], at: tuple[Array, Array, Array]) -> tuple[tuple[Array, Any], Array]:
+        flat_params, opt_state = carry
+        index, *statistics = at
+        params = unravel(flat_params)
+        parts = [index]
+        if config.noise_scale:
+            num_rows = num_steps if program.is_recurrent else 1
+            parts = noise_scale.parts_here(index, division.num_devices, num_rows=num_rows)
+        shares = [share(params, part, *statistics) for part in parts]
+        grad, terms = (functools.reduce(jnp.add, values) for values in zip(*shares, strict=True))
+        if config.noise_scale:
+            counts = [part.size if is_counted is None else is_counted.sum() for part in parts]
+            squares = [
+                noise_scale.part_square(grad, count, minibatch_size)
+                for count, (grad, _) in zip(counts, shares, strict=True)
+            ]
+            terms = jnp.append(terms, sum(squares))
         # The only communication of a gradient step: gradient and metrics of all devices in one vector.
         # Stored, else on one device the norm is a sum over a concatenation, ten times as slow as its traffic.
-        summed = stored(jax.lax.psum(jnp.concatenate([ravel_pytree(grads)[0], terms]), DATA_AXIS))
+        summed = stored(jax.lax.psum(jnp.concatenate([grad, terms]), DATA_AXIS))
         grad, terms = jnp.split(summed, [flat_params.size])
         return _apply(config, now, flat_params, opt_state, grad, terms)
 
     (flat_params, opt_state), rows = jax.lax.scan(
         epoch, (flat_params, state.opt_state), jnp.arange(config.epochs, dtype=jnp.uint32)
     )
-    metrics, num_applied = _summarise(rows.reshape(-1, rows.shape[-1]))
+    metrics, num_applied = _summarise(config, rows.reshape(-1, rows.shape[-1]))
+    if config.noise_scale:
+        squares = metrics.pop("part_square"), metrics.pop("square")
+        metrics |= noise_scale.noise_metrics(*squares, noise_scale.num_parts(division.num_devices), minibatch_size)
     metrics["explained_variance"] = _explained_variance(
         targets, advantages, _counted(program, num_samples_here=num_worlds), num_samples
     )
@@ -340,8 +366,9 @@ def _gradient(
 def _apply(
     config: PpoConfig, now: Sizes, flat_params: Array, opt_state: Any, grad: Array, terms: Array
 ) -> tuple[tuple[Array, Any], Array]:
-    """Clips by norm and steps, unless the gradient is not finite; one row of metrics: LOSS_METRICS, norm, applied."""
-    norm = jnp.sqrt(jnp.sum(jnp.square(grad)))
+    """Clips by norm and steps, unless the gradient is not finite; one row of metrics: `_columns`, applied."""
+    square = jnp.sum(jnp.square(grad))
+    norm = jnp.sqrt(square)
     is_finite = jnp.isfinite(norm)
     clipped = grad * jnp.minimum(1.0, config.max_grad_norm / jnp.maximum(norm, 1e-12))
     step, new_opt_state = config.optimizer().update(clipped, opt_state, flat_params)
@@ -353,15 +380,22 @@ def _apply(
 
     flat_params = keep_if_skipped(flat_params + step, flat_params)
     opt_state = jax.tree.map(keep_if_skipped, new_opt_state, opt_state)
-    row = jnp.where(is_finite, jnp.concatenate([terms, norm[None], jnp.ones(1, jnp.float32)]), 0.0)
+    squares = [square[None]] if config.noise_scale else []
+    row = jnp.where(is_finite, jnp.concatenate([terms, *squares, norm[None], jnp.ones(1, jnp.float32)]), 0.0)
     return (flat_params, opt_state), row
 
 
-def _summarise(rows: Array) -> tuple[dict[str, Array], Array]:
+def _columns(config: PpoConfig) -> tuple[str, ...]:
+    """Names of the metrics of a gradient step."""
+    squares = ("part_square", "square") if config.noise_scale else ()  # `small` and `whole` of `noise_scale.py`
+    return (*LOSS_METRICS, *squares, "grad_norm")
+
+
+def _summarise(config: PpoConfig, rows: Array) -> tuple[dict[str, Array], Array]:
     """Means over the applied gradient steps, and how many these were."""
     num_applied = jnp.sum(rows[:, -1])
     means = jnp.sum(rows[:, :-1], axis=0) / num_applied
-    metrics = dict(zip((*LOSS_METRICS, "grad_norm"), means))
+    metrics = dict(zip(_columns(config), means, strict=True))
     metrics["skipped_steps"] = rows.shape[0] - num_applied
     return metrics, num_applied.astype(jnp.int32)
 

@@ -11,8 +11,9 @@ A policy with a memory is applied in one of two ways:
     policy.apply(params, obs, memory)              one step of B worlds -> (outputs, value, next memory)
     policy.apply(params, obs, is_first=is_first)   T steps of B worlds, T B rows of obs -> (outputs, value)
 
-The second starts from zero: rollouts begin with episodes. `initial_memory`, `act` and `reset_memory` are for playing;
-they take policies without memory too.
+The second starts from zero, or from a `memory` that is given too: that of the policy which acted, where worlds go on
+from the update before (a stored state: Kapturowski et al. 2019, R2D2). `initial_memory`, `act` and `reset_memory` are
+for playing; they take policies without memory too.
 """
 
 from __future__ import annotations
@@ -58,9 +59,9 @@ class Gru(nn.Module):
                 memory = step(reset_memory(memory, is_first), given)
                 return memory, memory
 
-            zeros = jnp.zeros((is_first.shape[1], self.size), jnp.float32)
+            start = jnp.zeros((is_first.shape[1], self.size), jnp.float32) if memory is None else memory
             rows = given.reshape(*is_first.shape, 3 * self.size)
-            return jax.lax.scan(next_step, zeros, (rows, is_first))[1].reshape(-1, self.size)
+            return jax.lax.scan(next_step, start, (rows, is_first))[1].reshape(-1, self.size)
         if memory is None:
             if not self.is_initializing():
                 raise ValueError("a recurrent policy acts with its memory; see kinetix_dist/models/gru.py")
@@ -75,7 +76,7 @@ def _orthogonal_gates(key: Array, shape: tuple[int, int], dtype: Any = jnp.float
 
 
 def apply_towers(towers: nn.Module, embedding: Array, memory: Array | None, is_first: Array | None, size: int) -> Any:
-    """Outputs of a network for its embedding: (outputs, value), and the next memory where one was given.
+    """Outputs of a network for its embedding: (outputs, value), and after one step the next memory where one was given.
 
     size: of the memory; 0: none. Called inside of a compact network.
     """
@@ -83,7 +84,7 @@ def apply_towers(towers: nn.Module, embedding: Array, memory: Array | None, is_f
         return towers(embedding)
     after = Gru(size, name="gru")(embedding, memory, is_first)
     outputs, value = towers(after.astype(embedding.dtype))
-    return (outputs, value) if memory is None else (outputs, value, after)
+    return (outputs, value) if memory is None or is_first is not None else (outputs, value, after)
 
 
 def has_memory(policy: Any) -> bool:

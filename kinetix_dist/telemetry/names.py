@@ -73,18 +73,23 @@ _ALL = (
     Metric("time/idle", "share", "everything else: dispatch, transfers, waiting"),
     # Training episodes. Rates are of first episodes: of all that end, those that end early would count more often.
     Metric("train/episodes", "episodes", "episodes that ended in this update's rollout"),
-    Metric("train/attempts", "worlds", "first episodes of this update, one per world"),
+    Metric(
+        "train/attempts",
+        "worlds",
+        "first episodes since the last reset, one per world; 0 where worlds go on into the next update "
+        "(rollout.reset_every): the rates below are then left out",
+    ),
     Metric(
         "train/solve_rate",
         "share",
-        "of the attempts, how many were solved within rollout.num_steps; where that is less than env.max_steps, fewer "
-        "than would be in a whole episode",
+        "of the attempts, how many were solved within the steps between two resets; where these are less than "
+        "env.max_steps, fewer than would be in a whole episode",
     ),
     Metric("train/failed_rate", "share", "of the attempts, how many ended so because green touched red"),
     Metric(
         "train/mean_return",
         "reward",
-        "mean return of the attempts, within rollout.num_steps; undiscounted, dense reward included",
+        "mean return of the attempts, within the steps between two resets; undiscounted, dense reward included",
     ),
     Metric("train/mean_reward", "reward", "mean reward of an environment step"),
     Metric(
@@ -166,6 +171,14 @@ _ALL = (
     Metric("learner/approx_kl", "nat", "estimated KL divergence from the policy that acted"),
     Metric("learner/clip_fraction", "share", "of ratios that were clipped"),
     Metric("learner/grad_norm", "1", "global norm of the gradients before clipping"),
+    Metric(
+        "learner/gradient_noise_scale",
+        "samples",
+        "with ppo.noise_scale: variance of the gradient over its square, the two below; from minibatches much larger "
+        "than that, more samples gain little; negative where it is too large to tell",
+    ),
+    Metric("learner/gradient_variance", "1", "trace of the covariance of the gradient of one sample, estimated"),
+    Metric("learner/gradient_square", "1", "squared norm of the gradient without its noise, estimated"),
     Metric(
         "learner/learning_rate", "1", "of the steps of Adam in this update: annealed, and lowered by the guard on KL"
     ),
@@ -261,7 +274,10 @@ RED: dict[str, tuple[str, str]] = {
         "look at time/* for the role that grew, at runtime/restarts, and at what else runs on the machine",
     ),
     "physics/unstable": ("above 0", "unstable levels or physics: see the note on the console"),
-    "train/episodes": ("0 for long", "rollout.num_steps is far below the length of an episode"),
+    "train/episodes": (
+        "0 for long",
+        "rollout.num_steps times rollout.reset_every is far below the length of an episode",
+    ),
     "curriculum/learnability": ("near 0", "levels are solved always or never: widen curriculum.generator"),
     "curriculum/buffer_is_stale": ("1 for long", "the curator is lost or hangs: see process_lost in events.jsonl"),
     "curriculum/buffer_age": (

@@ -55,7 +55,7 @@ def problem():
 
 
 def test_stored_probabilities_and_values_are_those_of_the_stored_observations(problem):
-    trajectory, _, obs, last_value, _ = problem.play(problem.levels, jax.random.key(1), 0)
+    trajectory, _, obs, _, last_value, _ = problem.play(problem.levels, jax.random.key(1), 0)
     prepared = problem.env.prepare(problem.levels)
     observe, apply = jax.jit(problem.env.observe), jax.jit(problem.policy.apply)
     log_probs_of = jax.jit(problem.env.action_distribution.log_prob_and_entropy)
@@ -71,7 +71,7 @@ def test_stored_probabilities_and_values_are_those_of_the_stored_observations(pr
 
 
 def test_outcomes_count_the_episodes_that_ended(problem):
-    trajectory, _, _, _, outcome = problem.play(problem.levels, jax.random.key(1), 0)
+    trajectory, *_, outcome = problem.play(problem.levels, jax.random.key(1), 0)
     np.testing.assert_array_equal(outcome.num_finished, trajectory.done_after.sum(axis=0))
     assert np.all(outcome.num_finished >= STEPS // EPISODE)
     assert np.all(outcome.num_solved <= outcome.num_finished)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextvars
+import dataclasses
 import threading
 import time
 from collections.abc import Iterator
@@ -44,10 +45,16 @@ def lowered() -> Iterator[list[tuple[str, str]]]:
 PROGRAMS = {"jit(rollout)", "jit(update)", "jit(_score)"}
 
 
-@pytest.mark.parametrize("is_resumed", [pytest.param(False, marks=pytest.mark.long), True])
-def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowered, is_resumed, monkeypatch):
+@pytest.mark.parametrize(
+    ("is_resumed", "reset_every"),
+    [pytest.param(False, 1, marks=pytest.mark.long), (True, 1), pytest.param(True, 3, marks=pytest.mark.long)],
+)
+def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(
+    lowered, is_resumed, reset_every, monkeypatch
+):
     monkeypatch.setattr(programs, "has_cores", lambda: True)
     config, mesh = tiny_config(num_updates=8, num_curators=0), data_mesh(jax.devices()[:1])
+    config = dataclasses.replace(config, rollout=dataclasses.replace(config.rollout, reset_every=reset_every))
     before = Worker(config, mesh)
     before.start(None)
     _, refreshed = before.refresh(before.released(), 0, 0, 1)
@@ -55,7 +62,7 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
     arrays, update = None, 0
     expected, *_ = before.run_update(0)
     if is_resumed:
-        arrays, update = before.snapshot(), 1
+        arrays, update = before.snapshot() | before.ongoing_worlds(), 1
         expected, *_ = before.run_update(1)
 
     jax.clear_caches()  # programs are cached for workers of equal settings
@@ -70,7 +77,8 @@ def test_neither_refresh_nor_update_compile_again_what_was_compiled_ahead(lowere
         worker.adopt(refreshed)
     metrics, *_ = worker.run_update(update)
     worker._refresh_programs.wait()
-    assert sorted(found for found in lowered if found[0] in PROGRAMS) == sorted((name, THREAD) for name in PROGRAMS)
+    names = [*PROGRAMS, "jit(rollout)"] if reset_every > 1 else PROGRAMS  # resets are a program of their own
+    assert sorted(found for found in lowered if found[0] in PROGRAMS) == sorted((name, THREAD) for name in names)
     np.testing.assert_equal(metrics, expected)
     worker._evaluation_programs.wait()
 

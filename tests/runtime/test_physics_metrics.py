@@ -69,7 +69,7 @@ def _sums(effects, weights):
     curriculum = make_curriculum(config, env, policy, data_mesh())
     players = Players(env, policy, curriculum)
     core = RolloutCore(config, players, data_mesh(), groups=range(config.rollout.num_groups))
-    return jax.device_get(core.play(weights, curriculum.init(), 0)[-1])["physics"]
+    return jax.device_get(core.play(weights, curriculum.init(), 0).sums)["physics"]
 
 
 @pytest.mark.long

@@ -49,12 +49,21 @@ def test_of_playing_and_of_learning(recurrent):
     playing, groups = Playing(config, mesh), range(config.rollout.num_groups)
     env, policy, curriculum = playing.environment(config), playing.policy, playing.curriculum(config)
     # Traced ones: an exported program hides what it was made from.
-    play = RolloutCore(config, Players(env, policy, curriculum), mesh, groups=groups).program
+    players = Players(env, policy, curriculum)
+    play = RolloutCore(config, players, mesh, groups=groups).program
     update = make_update(policy, env.observation, env.action_distribution, config.ppo, mesh)
     state = LearnerCore(config, env, policy, mesh).shapes
     played = state.params, jax.eval_shape(curriculum.init), jnp.uint32(0)
     assert faults_of(play, *played) == []
     batch, _, _ = jax.eval_shape(play, *played)
+    assert faults_of(update, state, *batch) == []
+    # Worlds that go on: resets, and what is played from one update to the next.
+    longer = dataclasses.replace(config, rollout=dataclasses.replace(config.rollout, reset_every=2))
+    goes_on = RolloutCore(longer, players, mesh, groups=groups)
+    assert faults_of(goes_on._reset, *played[1:]) == []
+    worlds = jax.eval_shape(goes_on._reset, *played[1:])
+    assert faults_of(goes_on.program, *played[:2], worlds, played[2]) == []
+    batch, _, _ = jax.eval_shape(goes_on.program, *played[:2], worlds, played[2])
     assert faults_of(update, state, *batch) == []
 
 

@@ -21,7 +21,7 @@ from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh, on_devices
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome
-from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE, SIZES_PLAYED, attempts_by, sums_of
+from kinetix_dist.runtime.cores.rollout_sums import BY_SOURCE, SIZES_PLAYED, attempt_sums, attempts_by, step_sums
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
 from kinetix_dist.runtime.driver.run_data import OutcomeWindow
 from kinetix_dist.studio.runs.refreshes import Refreshes, describe_training, training_plays
@@ -92,7 +92,7 @@ def _sums_over(*given: Any) -> dict[str, Any]:
     def inside(outcome: LevelOutcome, rewards: Any, source: Any, size: Any) -> dict[str, Any]:
         is_counted = jnp.ones(rewards.shape[1], bool)
         by_source = attempts_by(source, outcome, is_counted, 1 + len(P_OF_BUFFER))
-        sums = sums_of(outcome, rewards, is_counted)
+        sums = step_sums(outcome, rewards, is_counted) | attempt_sums(outcome, is_counted)
         return sums | {BY_SOURCE: by_source, SIZES_PLAYED: attempts_by(size, outcome, is_counted, len(SIZES))}
 
     worlds, steps, whole = PartitionSpec(DATA_AXIS), PartitionSpec(None, DATA_AXIS), PartitionSpec()

@@ -73,7 +73,7 @@ def test_the_command_of_an_arm_gives_its_configuration(name, tmp_path):
 
 def test_an_unknown_study_or_arm(capsys, tmp_path):
     assert "unknown study 'filtre'; did you mean 'filter'?" in refusal(capsys, "filtre")
-    assert "unknown study 'xyz'; studies are curricula, " in refusal(capsys, "xyz")
+    assert "unknown study 'xyz'; studies are compute, curricula, " in refusal(capsys, "xyz")
     line = refusal(capsys, write(tmp_path), "--arms", "wider")
     assert "unknown arm 'wider' of study mine; did you mean 'wide'?" in line
     assert "arms are plain, wide" in refusal(capsys, write(tmp_path), "--arms", "xyz")

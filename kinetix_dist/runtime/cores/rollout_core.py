@@ -1,9 +1,17 @@
-"""Playing the worlds of an update: draws levels, prepares them, unrolls the policy. Worlds are sharded over a mesh."""
+"""Playing the worlds of an update: draws levels, prepares them, unrolls the policy. Worlds are sharded over a mesh.
+
+    reset_every 1    one program: levels, prepare, reset, unroll
+    reset_every k    every k-th update  levels, prepare, reset  --> worlds
+                     every update       worlds, prepare, unroll --> worlds, which go on (`ongoing_worlds.py`)
+
+Attempts are counted in the update that ends with a reset, over all steps since the last one.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -12,27 +20,36 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax2d.scene import Array
 from kinetix_dist import prng
+from kinetix_dist.actors.outcomes import joined
 from kinetix_dist.actors.unroll import Played, Worlds, unroll
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.buffer_share import members
 from kinetix_dist.curator.curriculum import Curriculum, Proposal
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.records import EnvState, PreparedLevels
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
 from kinetix_dist.level.fit import size_numbers
-from kinetix_dist.level.level import SIZES
+from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.messages import LevelOutcome, StaticInput
 from kinetix_dist.models.kernels.cuda_kernel import CUSTOM_CALLS
 from kinetix_dist.models.kernels.support import traced_for
 from kinetix_dist.program_cache import ProgramKey, exported_on_mesh, is_cacheable
+from kinetix_dist.runtime.cores.ongoing_worlds import (
+    Episodes,
+    OngoingWorlds,
+    begun,
+    source_of,
+    with_worlds_first,
+    with_worlds_last,
+)
 from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
+from kinetix_dist.runtime.cores.rollout_sums import BY_SOURCE, SIZES_PLAYED, attempt_sums, attempts_by, step_sums
 from kinetix_dist.runtime.cores.run_names import LEVELS, PLAY, stream
 
 CACHE = "rollouts"  # folder in the program cache
 BUILDER = f"{__package__}.playing"  # makes the players; it reaches the functions that a curriculum is given, too
 Seen = tuple[Proposal, LevelOutcome]  # what a curriculum observes
-SIZES_PLAYED = "sizes"  # in the sums of an update where sizes are mixed: by size, in the order of `SIZES`
-BY_SOURCE = "by_source"  # in the sums of an update: attempts of each source and slot of `Proposal.source`
 
 
 class Batch(NamedTuple):
@@ -44,6 +61,15 @@ class Batch(NamedTuple):
     static: Any  # `StaticInput`
     trajectory: Any
     last_value: Any
+
+
+class Rollout(NamedTuple):
+    """Result of `RolloutCore.play`. The first two lie in all slots of the division; repeated worlds are in no sum."""
+
+    batch: Batch  # what is learned from
+    seen: Seen | None  # what the curriculum sees, if it observes
+    sums: dict[str, Any]  # over all worlds
+    worlds: OngoingWorlds | None  # that go on; None: they are reset before the next update
 
 
 class Players(NamedTuple):
@@ -84,81 +110,144 @@ class RolloutCore:
         env.check_memory(self.division.slots * self._groups_per_part * config.rollout.worlds_per_group)
         whole, worlds = PartitionSpec(), PartitionSpec(DATA_AXIS)
         self._mesh = mesh
-        self._batch_specs = Batch(worlds, PartitionSpec(None, DATA_AXIS), worlds)
-        specs: dict[str, Any] = {
-            "in_specs": (whole, whole, whole),
-            "out_specs": (self._batch_specs, worlds, whole),
-        }
-        on_mesh = on_devices(self._play_shard, mesh, **specs)
+        self._batch_specs = batch = Batch(worlds, PartitionSpec(None, DATA_AXIS), worlds)
+        if config.rollout.reset_every == 1:
+            self.program = self._on_mesh(self._play_shard, key, (whole, whole, whole), (batch, worlds, whole))
+        else:
+            specs = (whole, whole, worlds, whole), (batch, worlds, whole)
+            self.program = self._on_mesh(self._go_on_shard, key, *specs)
+            key = key and dataclasses.replace(key, depends_on=(*key.depends_on, "reset"))
+            self._reset = self._on_mesh(self._reset_shard, key, (whole, whole), worlds)
 
-        def rollout(params: Any, state: Any, num_updates: Array) -> tuple[Batch, Seen | None, dict[str, Any]]:
-            return on_mesh(params, state, num_updates)
+    def _on_mesh(
+        self, shard: Callable[..., Any], key: ProgramKey | None, in_specs: tuple[Any, ...], out_specs: Any
+    ) -> Any:
+        on_mesh = on_devices(shard, self._mesh, in_specs=in_specs, out_specs=out_specs)
 
-        self.program = jax.jit(rollout) if key is None else exported_on_mesh(rollout, key, mesh, **specs)
+        def rollout(*inputs: Any) -> Any:
+            return on_mesh(*inputs)
 
-    def play(self, params: Any, state: Any, num_updates: int) -> tuple[Batch, Seen | None, dict[str, Any]]:
-        """(what is learned from, what the curriculum sees if it observes, sums over all worlds) of one update.
+        if key is None:
+            return jax.jit(rollout)
+        return exported_on_mesh(rollout, key, self._mesh, in_specs=in_specs, out_specs=out_specs)
 
-        state: of the curriculum. The first two lie in all slots of the division; repeated worlds are in no sum.
-        """
-        return self.program(params, state, jnp.uint32(num_updates))
+    def play(self, params: Any, state: Any, num_updates: int, worlds: OngoingWorlds | None = None) -> Rollout:
+        """One update. state: of the curriculum; worlds: those of the update before, see `Rollout`."""
+        resets, number = self._config.rollout.resets_before, jnp.uint32(num_updates)
+        if self._config.rollout.reset_every == 1:
+            return Rollout(*self.program(params, state, number), worlds=None)
+        if resets(num_updates):
+            worlds = self._reset(state, number)
+        if worlds is None:
+            raise ValueError(f"update {num_updates} goes on with the worlds of the one before, which are not there")
+        batch, episodes, sums = self.program(params, state, worlds, number)
+        after = None if resets(num_updates + 1) else dataclasses.replace(worlds, episodes=episodes)
+        return Rollout(batch, None, sums, after)
 
-    def traced(self, params: Any, state: Any) -> tuple[Any, Batch]:
-        """(the program of `play` for such arrays, to be lowered, shapes and shardings of the batch that it gives)."""
-        traced = self.program.trace(params, state, jnp.uint32(0))
-        batch, _, _ = traced.out_info
+    def traced(self, params: Any, state: Any) -> tuple[list[Any], Batch]:
+        """(the programs of `play` for such arrays, to be lowered, shapes and shardings of the batch that it gives)."""
+        number, worlds, programs = jnp.uint32(0), [], []
+        if self._config.rollout.reset_every > 1:
+            programs = [self._reset.trace(state, number)]
+            sharded = functools.partial(self._shape, spec=PartitionSpec(DATA_AXIS))
+            worlds = [jax.tree.map(sharded, programs[0].out_info)]
+        programs.append(self.program.trace(params, state, *worlds, number))
+        batch = programs[-1].out_info[0]
         specs = jax.tree.broadcast(self._batch_specs, batch, is_leaf=lambda x: isinstance(x, PartitionSpec))
-        return traced, jax.tree.map(self._shape, batch, specs)
+        return programs, jax.tree.map(self._shape, batch, specs)
 
     def _shape(self, array: Any, spec: PartitionSpec) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(array.shape, array.dtype, sharding=NamedSharding(self._mesh, spec))
 
     def _play_shard(self, params: Any, state: Any, num_updates: Array) -> tuple[Batch, Seen | None, dict[str, Any]]:
-        config, env = self._config, self._env
-        worlds_per_group = config.rollout.worlds_per_group
-        device = jax.lax.axis_index(DATA_AXIS)
-        parts = jnp.asarray(self.division.parts)[device]
-        groups = self._first_group + members(parts, self._groups_per_part)
-        num_groups = groups.size
-        level_key = prng.fold_in(stream(config.run.seed, LEVELS), num_updates)
-        play_key = prng.fold_in(stream(config.run.seed, PLAY), num_updates)
-
-        group_keys = jax.vmap(lambda group: prng.fold_in(level_key, group))(groups)
-        proposal = self._curriculum.propose(state, group_keys, groups)
-        expected, found = num_groups * worlds_per_group, proposal.levels.position.shape[0]
-        if found != expected:
-            raise ValueError(
-                f"curriculum {config.curriculum.name!r} proposed {found} levels for {num_groups} groups "
-                f"of {worlds_per_group} worlds; propose must return {expected}"
-            )
-        prepared = env.prepare(proposal.levels)
-        policy, params = self._curriculum.players(self._policy, params, state)
-        static = StaticInput(
-            obs=prepared.static_obs, bound_heads=prepared.bound_heads if config.ppo.mask_unbound_heads else None
-        )
-        worlds = Worlds(prepared, *env.reset(prepared), members(groups, worlds_per_group), static.bound_heads)
-        played = unroll(
-            policy,
-            params,
-            env,
-            worlds,
-            play_key,
-            config.rollout.num_steps,
-            keep_timeouts=config.ppo.bootstrap_timeouts,
-        )
+        proposal = self._proposed(state, num_updates)
+        prepared = self._env.prepare(proposal.levels)
+        start = *self._env.reset(prepared), None
+        batch, played = self._unrolled(params, state, prepared, start, num_updates)
         seen = None
         if self._curriculum.observes:
             seen = dataclasses.replace(proposal, source=None), self._summarised(played)
+        is_counted = self._is_counted(played)
+        sums = step_sums(played.outcome, played.trajectory.rewards, is_counted)
+        return batch, seen, sums | self._attempts(proposal.levels, source_of(proposal), played.outcome, is_counted)
+
+    def _reset_shard(self, state: Any, num_updates: Array) -> OngoingWorlds:
+        return begun(self._env, self._policy, self._proposed(state, num_updates))
+
+    def _go_on_shard(
+        self, params: Any, state: Any, worlds: OngoingWorlds, num_updates: Array
+    ) -> tuple[Batch, Episodes, dict[str, Any]]:
+        before = worlds.episodes
+        prepared = self._env.prepare(worlds.levels)
+        start = with_worlds_last(before.env_state), before.obs, before.memory
+        batch, played = self._unrolled(params, state, prepared, start, num_updates)
+        outcome, is_counted = joined(before.outcome, played.outcome), self._is_counted(played)
+        sums = step_sums(played.outcome, played.trajectory.rewards, is_counted)
+        is_last = (num_updates + 1) % self._config.rollout.reset_every == 0
+        sums |= self._attempts(worlds.levels, worlds.source, outcome, is_counted & is_last)
+        env_state = with_worlds_first(played.env_state)
+        return batch, Episodes(env_state=env_state, obs=played.obs, memory=played.memory, outcome=outcome), sums
+
+    @property
+    def _groups(self) -> Array:
+        """Numbers of the world groups in the slots of this device."""
+        parts = jnp.asarray(self.division.parts)[jax.lax.axis_index(DATA_AXIS)]
+        return self._first_group + members(parts, self._groups_per_part)
+
+    def _is_counted(self, played: Played) -> Array:
+        """[W] bool: false where a world is there once more."""
+        is_counted = jnp.asarray(self.division.is_counted)[jax.lax.axis_index(DATA_AXIS)]
+        return jnp.repeat(is_counted, played.last_value.shape[0] // self.division.slots)
+
+    def _proposed(self, state: Any, num_updates: Array) -> Proposal:
+        config, groups = self._config, self._groups
+        level_key = prng.fold_in(stream(config.run.seed, LEVELS), num_updates)
+        group_keys = jax.vmap(lambda group: prng.fold_in(level_key, group))(groups)
+        proposal = self._curriculum.propose(state, group_keys, groups)
+        worlds_per_group = config.rollout.worlds_per_group
+        expected, found = groups.size * worlds_per_group, proposal.levels.position.shape[0]
+        if found != expected:
+            raise ValueError(
+                f"curriculum {config.curriculum.name!r} proposed {found} levels for {groups.size} groups "
+                f"of {worlds_per_group} worlds; propose must return {expected}"
+            )
+        return proposal
+
+    def _unrolled(
+        self,
+        params: Any,
+        state: Any,
+        prepared: PreparedLevels,
+        start: tuple[EnvState, Any, Array | None],
+        num_updates: Array,
+    ) -> tuple[Batch, Played]:
+        """start: state, observation and the policy's memory, None where that begins with an episode."""
+        config, groups = self._config, self._groups
+        env_state, obs, memory = start
+        policy, params = self._curriculum.players(self._policy, params, state)
+        bound_heads = prepared.bound_heads if config.ppo.mask_unbound_heads else None
+        static = StaticInput(obs=prepared.static_obs, bound_heads=bound_heads, memory=memory)
+        numbers = members(groups, config.rollout.worlds_per_group)
+        played = unroll(
+            policy,
+            params,
+            self._env,
+            Worlds(prepared, env_state, obs, numbers, bound_heads, memory),
+            prng.fold_in(stream(config.run.seed, PLAY), num_updates),
+            config.rollout.num_steps,
+            keep_timeouts=config.ppo.bootstrap_timeouts,
+        )
         batch = Batch(static, played.trajectory, played.last_value)
-        batch = worlds_trained(batch, num_groups, config.num_trained_envs // config.rollout.num_groups)
-        is_counted = jnp.repeat(jnp.asarray(self.division.is_counted)[device], expected // self.division.slots)
-        sums = sums_of(played.outcome, played.trajectory.rewards, is_counted)
+        return worlds_trained(batch, groups.size, config.num_trained_envs // config.rollout.num_groups), played
+
+    def _attempts(self, levels: Level, source: Array, outcome: LevelOutcome, is_counted: Array) -> dict[str, Any]:
+        """Sums of the first episodes of the worlds that count."""
+        sums = attempt_sums(outcome, is_counted)
         # Also where no outcomes.jsonl is written: another program may round otherwise.
-        source = proposal.source if proposal.source is not None else jnp.zeros(is_counted.shape, jnp.int32)
-        sums[BY_SOURCE] = attempts_by(source, played.outcome, is_counted, self._num_counted)
-        if config.curriculum.sizes:
-            sums[SIZES_PLAYED] = attempts_by(size_numbers(proposal.levels), played.outcome, is_counted, len(SIZES))
-        return batch, seen, sums
+        sums[BY_SOURCE] = attempts_by(source, outcome, is_counted, self._num_counted)
+        if self._config.curriculum.sizes:
+            sums[SIZES_PLAYED] = attempts_by(size_numbers(levels), outcome, is_counted, len(SIZES))
+        return sums
 
     def _summarised(self, played: Played) -> LevelOutcome:
         summary = self._curriculum.summarise(played.trajectory, played.last_value)
@@ -208,34 +297,3 @@ def worlds_trained(batch: Batch, num_groups: int, num_trained: int) -> Batch:
         jax.tree.map(lambda x: x[:, world], batch.trajectory),
         batch.last_value[world],
     )
-
-
-def sums_of(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str, Any]:
-    """Sums that the metrics need, over the worlds of all devices, each once. An attempt is the first episode of a
-    world."""
-    outcome, rewards = jax.tree.map(lambda x: jnp.where(is_counted, x, 0), (outcome, rewards))
-    local = {
-        "finished": outcome.num_finished.sum(),
-        "attempts": is_counted.sum(dtype=jnp.int32),
-        "solved": outcome.first_solved.sum(),
-        "failed": outcome.first_failed.sum(),
-        "return": outcome.first_return.sum(),
-        "reward": rewards.sum(),
-        "steps": rewards.shape[0] * is_counted.sum(dtype=jnp.int32),
-        "physics": jax.tree.map(lambda count: count.sum(dtype=jnp.float32), outcome.physics),  # beyond an int32
-    }
-    return jax.lax.psum(local, DATA_AXIS)
-
-
-def attempts_by(group: Array, outcome: LevelOutcome, is_counted: Array, num_groups: int) -> dict[str, Array]:
-    """Attempts by the group of a world, and those solved, over all devices, each world once: [num_groups] int32."""
-    # Ones that depend on the outcome: a count that needs no rollout is compiled together with what does, which then
-    # rounds otherwise for another number of groups (tests/finetune/test_specialists.py, with the flags of the tests).
-    attempts = jnp.where(outcome.num_finished < 0, 0, 1)
-    counts = {"solved": outcome.first_solved, "attempts": attempts}
-    return {name: _totals_by(group, jnp.where(is_counted, count, 0), num_groups) for name, count in counts.items()}
-
-
-def _totals_by(group: Array, count: Array, num_groups: int) -> Array:
-    """Over the worlds of all devices: [num_groups] int32."""
-    return jax.lax.psum(jnp.zeros(num_groups, jnp.int32).at[group].add(count), DATA_AXIS)

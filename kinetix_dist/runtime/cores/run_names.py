@@ -24,6 +24,7 @@ START = "start"  # in place of a checkpoint: what a new run takes of an earlier 
 PARAMS, OPTIMIZER = "params", "opt_state"  # of a `LearnerState`
 CURRICULUM = "curriculum"  # its state
 ACTING = "acting"  # split placement: parameters that play the batch in flight
+WORLDS = "worlds"  # those that go on into the next update
 PROPOSING = "proposing"  # split placement, curricula that observe: the state that proposed the batch in flight
 
 

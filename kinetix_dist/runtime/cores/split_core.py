@@ -77,9 +77,9 @@ class RolloutWorker:
         with copies.timed("weights_to_device") as copied:
             params, state = replicate(params, self._mesh), replicate(state, self._mesh)
             copied += jax.block_until_ready([params, state])
-        played = jax.block_until_ready(rollout.play(params, state, update))
+        batch, seen, sums, _ = jax.block_until_ready(rollout.play(params, state, update))
         with copies.timed("device_to_host") as copied:
-            batch, seen, sums = jax.device_get(played)
+            batch, seen, sums = jax.device_get((batch, seen, sums))
             copied += [batch, seen]
         content = _each_world_once(rollout.division, batch, seen)
         header = {

@@ -1,6 +1,7 @@
 """Metrics of one update, by the names of `telemetry.names`, from the sums of a rollout and from the learner.
 
-Rates are of attempts, the first episodes of worlds: see `actors/outcomes.py`.
+Rates are of attempts, the first episodes of worlds (`actors/outcomes.py`): where worlds go on from update to update,
+only the last one before a reset has them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE, SIZES_PLAYED
+from kinetix_dist.runtime.cores.rollout_sums import BY_SOURCE, SIZES_PLAYED
 
 BUFFER = "buffer"  # the source of levels that are counted one by one, slot by slot
 
@@ -26,14 +27,17 @@ def training_metrics(
     metrics = {
         "train/episodes": float(sums["finished"]),
         "train/attempts": attempts,
-        "train/solve_rate": float(sums["solved"]) / attempts,
-        "train/failed_rate": float(sums["failed"]) / attempts,
-        "train/mean_return": float(sums["return"]) / attempts,
         "train/mean_reward": float(sums["reward"]) / float(sums["steps"]),
     }
-    metrics |= _by_source(sums[BY_SOURCE], sources)
-    if SIZES_PLAYED in sums:
-        metrics |= _by_size(sums[SIZES_PLAYED])
+    if attempts:  # none where worlds go on into the next update
+        metrics |= {
+            "train/solve_rate": float(sums["solved"]) / attempts,
+            "train/failed_rate": float(sums["failed"]) / attempts,
+            "train/mean_return": float(sums["return"]) / attempts,
+        }
+        metrics |= _by_source(sums[BY_SOURCE], sources)
+        if SIZES_PLAYED in sums:
+            metrics |= _by_size(sums[SIZES_PLAYED])
     million_physics_steps = float(sums["steps"]) * frame_skip / 1e6
     counts = {name: float(count) for name, count in dataclasses.asdict(sums["physics"]).items()}
     metrics |= {f"physics/{name}": count / million_physics_steps for name, count in counts.items()}

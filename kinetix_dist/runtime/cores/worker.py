@@ -11,8 +11,9 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from kinetix_dist.checkpoint import flatten_arrays
+from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.curator.curriculum import Proposal
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import local_values
 from kinetix_dist.program_cache import compile_seconds
@@ -21,9 +22,11 @@ from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState
 from kinetix_dist.runtime.cores.evaluator import Evaluator
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
+from kinetix_dist.runtime.cores.ongoing_worlds import OngoingWorlds, begun, restored, stored
 from kinetix_dist.runtime.cores.playing import Playing, check_memory
-from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE, RolloutCore
-from kinetix_dist.runtime.cores.run_names import CURRICULUM, LEARNER
+from kinetix_dist.runtime.cores.rollout_core import RolloutCore
+from kinetix_dist.runtime.cores.rollout_sums import BY_SOURCE
+from kinetix_dist.runtime.cores.run_names import CURRICULUM, LEARNER, WORLDS, one_level
 from kinetix_dist.runtime.cores.split_core import Copies, Staging, Stored
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
 
@@ -148,6 +151,7 @@ class Worker(LearnerWorker):
         self._update_programs, self._refresh_programs = programs.Ahead(), programs.Ahead()
         self._evaluation_programs = programs.Ahead()
         self._after_update: Callable[[], None] | None = None  # begun in a thread after the next one
+        self._worlds: OngoingWorlds | None = None  # that go on into the next update
         self._ahead_of = ahead_of if programs.has_cores() else None
         if self._ahead_of is not None:  # shapes are enough: it does not wait for a checkpoint
             rollout = self._playing.rollout(self._enter_phase_of(self._ahead_of))
@@ -155,6 +159,11 @@ class Worker(LearnerWorker):
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
         super().start(arrays)
+        if ongoing := select_arrays(arrays or {}, WORLDS):
+            config = self._config
+            some = Proposal(levels=one_level(config))
+            like = jax.eval_shape(lambda: begun(self._playing.environment(config), self._playing.policy, some))
+            self._worlds = restored(ongoing, like, self._mesh, self._learner.division)
         if self._ahead_of is None:
             return
         released, is_new = self.released(), self._ahead_of == 0
@@ -173,11 +182,12 @@ class Worker(LearnerWorker):
                 self._after_update = compile_refresh
 
     def _compile_update(self, rollout: RolloutCore) -> None:
-        program, batch = rollout.traced(self._learner.shapes.params, self._state.shapes)
-        lowered = program.lower()
+        traced, batch = rollout.traced(self._learner.shapes.params, self._state.shapes)
+        lowered = [program.lower() for program in traced]
         # What is compiled last decides, and threads that trace take turns: not before this.
         self._update_programs.begin(lambda: self._learner.compile(*batch))
-        lowered.compile()
+        for program in lowered:
+            program.compile()
 
     def evaluate(self, use_policy: bool) -> dict[str, dict[str, Any]]:
         if use_policy:
@@ -201,12 +211,19 @@ class Worker(LearnerWorker):
         """Compiles what that refresh needs beyond those before, also while an update goes on."""
         self._curator.prepare(policy_version)
 
+    def ongoing_worlds(self) -> dict[str, np.ndarray]:
+        """Arrays of a checkpoint besides `snapshot`: worlds of this process; nothing where the next update resets them.
+        One process after the other, they are those of all."""
+        return {} if self._worlds is None else stored(self._worlds, self._mesh, self._learner.division)
+
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         """(metrics, seconds of "rollout" and "learn", attempts by source as `RolloutCore.play` sums them)."""
         began = time.monotonic()
         self._update_programs.wait()
         rollout = self._playing.rollout(self._enter_phase_of(num_updates))
-        batch, seen, sums = rollout.play(self._learner.params, self._state.on_devices, num_updates)
+        batch, seen, sums, self._worlds = rollout.play(
+            self._learner.params, self._state.on_devices, num_updates, self._worlds
+        )
         sums = local_values(sums)  # waits for the rollout
         played = time.monotonic()
         env_steps = self._config.schedule.env_steps(num_updates)

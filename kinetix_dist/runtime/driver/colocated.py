@@ -88,7 +88,8 @@ class ColocatedTrainer:
         self.backend.check(self._handles)
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        return self._first("snapshot")
+        worlds = self._all("ongoing_worlds")
+        return self._first("snapshot") | {name: np.concatenate([part[name] for part in worlds]) for name in worlds[0]}
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, Any]]:
         return self._first("evaluate", use_policy)

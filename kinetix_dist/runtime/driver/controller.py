@@ -262,7 +262,7 @@ class Controller:
             metrics, seconds, attempts = self.trainer.run_update(self.num_updates)
         self._update_seconds = time.monotonic() - began
         self.clock.add(seconds)
-        buffer = self._refreshes.buffer_of(self.num_updates)
+        buffer = self._refreshes.buffer_of(self.config.rollout.last_reset(self.num_updates))
         self._data.played(self.num_updates + 1, attempts, num_attempts=metrics["train/attempts"], buffer=buffer)
         self.num_updates += 1
         if self._warmup is None:

@@ -6,9 +6,10 @@ No call waits for a disk. A row that a disk does not take is dropped and counted
 event.
 
 `OutcomeWindow` adds up attempts by where their levels come from: a line of outcomes.jsonl a window. A window ends after
-every `every` updates of the run, before a batch whose levels are drawn from another buffer, and at the end of training.
-Its counts are part of checkpoints, so that a resumed run writes the same lines. A checkpoint of an earlier version has
-counts of all episodes in its window: that ends there, as a line of its own format.
+every `every` updates of the run, or with the next reset of the worlds after that, before a batch whose levels are drawn
+from another buffer, and at the end of training. Its counts are part of checkpoints, so that a resumed run writes the
+same lines. A checkpoint of an earlier version has counts of all episodes in its window: that ends there, as a line of
+its own format.
 """
 
 from __future__ import annotations
@@ -66,7 +67,10 @@ class RunData:
         self._curriculum: type[Curriculum] = config.curriculum_class
         log = config.curriculum_log
         self._has_snapshots = log.max_snapshots > 0
-        self._window = OutcomeWindow(self._curriculum.sources, log.outcomes_every) if log.outcomes_every else None
+        self._window = None
+        if log.outcomes_every:
+            reset_every = config.rollout.reset_every
+            self._window = OutcomeWindow(self._curriculum.sources, log.outcomes_every, reset_every=reset_every)
         self._sink_events = SinkEvents(run, reporter.note)
         self._sinks: dict[Path, BackgroundSink[Any]] = {}
         self._num_dropped = 0  # by sinks that are closed
@@ -123,9 +127,9 @@ class RunData:
     def played(
         self, num_updates: int, attempts: Mapping[str, np.ndarray], *, num_attempts: float, buffer: int | None
     ) -> None:
-        """Attempts of the update that led to `num_updates`, see `Trainer.run_update`; num_attempts: in all; buffer: see
-        `OutcomeWindow`. Raises ValueError where the curriculum left some out."""
-        if self._window is None:
+        """Attempts of the update that led to `num_updates`, see `Trainer.run_update`; num_attempts: in all, 0 where
+        worlds go on; buffer: see `OutcomeWindow`. Raises ValueError where the curriculum left some out."""
+        if self._window is None or not num_attempts:
             return
         if (counted := int(attempts["attempts"].sum())) != num_attempts:
             raise ValueError(
@@ -229,10 +233,12 @@ Counts = Mapping[str, np.ndarray]
 class OutcomeWindow:
     """The window of one run. Lines are plain JSON types, by the names of docs/run_data.md."""
 
-    def __init__(self, sources: tuple[str, ...], every: int) -> None:
-        """sources: of the curriculum, what the first counts are of; every: updates, above 0."""
+    def __init__(self, sources: tuple[str, ...], every: int, *, reset_every: int = 1) -> None:
+        """sources: of the curriculum, what the first counts are of; every: updates, above 0; reset_every: updates in
+        which an attempt is played."""
         self._sources = sources
         self._every = every
+        self._reset_every = reset_every
         self.start({}, {}, num_updates=0)
 
     def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
@@ -244,16 +250,17 @@ class OutcomeWindow:
         self._counts = {name: array.astype(np.int64) for name, array in counts.items()} if is_open else {}
 
     def add(self, num_updates: int, attempts: Counts, buffer: int | None) -> list[dict[str, Any]]:
-        """Takes the counts of the update that led to `num_updates`; lines of windows that are over.
+        """Takes the counts of the updates that led to `num_updates`; lines of windows that are over.
 
         attempts: "solved" and "attempts", [sources + slots]; buffer: whose levels the slots hold, or None.
         """
         lines = []
+        since = num_updates - self._reset_every
         if self._counts and (buffer != self._buffer or self._counts.keys() != attempts.keys()):
-            lines += self.end(num_updates - 1)
+            lines += self.end(since)
         self._buffer = buffer
         self._counts = {name: self._counts.get(name, 0) + counts.astype(np.int64) for name, counts in attempts.items()}
-        if num_updates % self._every == 0:
+        if num_updates // self._every > since // self._every:
             lines += self.end(num_updates)
         return lines
 

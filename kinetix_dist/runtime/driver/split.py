@@ -30,7 +30,7 @@ import numpy as np
 from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
-from kinetix_dist.runtime.cores.rollout_core import BY_SOURCE
+from kinetix_dist.runtime.cores.rollout_sums import BY_SOURCE
 from kinetix_dist.runtime.cores.run_names import ACTING, PROPOSING, nested
 from kinetix_dist.runtime.driver.colocated import learning_devices
 from kinetix_dist.runtime.driver.work_buffer import (

@@ -18,6 +18,7 @@ export const PANELS = [
   { title: "KL divergence", names: ["learner/approx_kl"] },
   { title: "Clipped share and explained variance", names: ["learner/clip_fraction", "learner/explained_variance"] },
   { title: "Gradient norm", names: ["learner/grad_norm"] },
+  { title: "Gradient noise scale", names: ["learner/gradient_noise_scale"], help: "samples" },
   {
     title: "Where the time goes",
     names: ["rollout", "learn", "curate", "evaluate", "record", "checkpoint", "idle"].map((name) => `time/${name}`),
