@@ -112,7 +112,6 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (smoke.main, ["--keep", "."], ". exists; name a new directory"),
         (smoke.main, ["--recipe", "tinny"], "unknown recipe 'tinny'; did you mean 'tiny'?"),
         (rl_loop.main, ["--worlds", "0"], "--worlds, --compiled-worlds, --steps and --repeats are 1 or more"),
-        (rl_loop.main, ["--json", "nosuch/out.json"], "nosuch/out.json"),
         (kernel_profile.main, ["--worlds", "33"], "--worlds is 33; give a multiple of 32"),
         (kernel_profile.main, ["--preset", "nosuch"], "'nosuch'"),
         (
