@@ -23,7 +23,12 @@ TEXT_SUFFIXES = {"", ".py", ".toml", ".lock", ".txt", ".md", ".yaml", ".yml", ".
 DOCUMENTS = sorted([REPOSITORY / "README.md", *REPOSITORY.glob("docs/**/*.md"), *REPOSITORY.glob("cluster/**/*.md")])
 
 
-MARKDOWN = sorted([*REPOSITORY.glob("*.md"), *REPOSITORY.glob("[a-z]*/**/*.md")])
+def is_ours(path: Path) -> bool:
+    """Below no folder with a dot, such as the environments of peers."""
+    return not any(part.startswith(".") for part in path.relative_to(REPOSITORY).parts)
+
+
+MARKDOWN = sorted(filter(is_ours, [*REPOSITORY.glob("*.md"), *REPOSITORY.glob("[a-z]*/**/*.md")]))
 
 
 @pytest.mark.parametrize("document", MARKDOWN, ids=lambda path: path.relative_to(REPOSITORY).as_posix())
