@@ -247,7 +247,7 @@ def pretrain_all() -> TrainConfig:
     return dataclasses.replace(
         base,
         curriculum=dataclasses.replace(base.curriculum, sizes=(("m", 1.0),)),
-        phases=(PhaseConfig(start=1_000_000_000, sizes=(("s", 0.2), ("m", 0.5), ("l", 0.3))),),
+        phases=(PhaseConfig(start=1_000_000_000, options={"curriculum.sizes": [["s", 0.2], ["m", 0.5], ["l", 0.3]]}),),
         evaluation=dataclasses.replace(base.evaluation, sets=sets),
         run=dataclasses.replace(base.run, name="pretrain_all"),
     )

@@ -5,7 +5,8 @@ options) and `refuse_old_words` (a command line). Configurations that were store
 `translated`. A path that is here no longer exists, so old -> new is one step, never a chain.
 
 To rename a setting: rename the field, add a line to `RENAMED` (or `RENAMED_VALUES`, `MOVED_VALUES`, `REMOVED`). A
-section's line moves all fields in it; a field's own line comes first. Fields of a phase are "phases.FIELD".
+section's line moves all fields in it; a field's own line comes first. Options of a phase are settings by their full
+names.
 """
 
 from __future__ import annotations
@@ -32,7 +33,20 @@ RENAMED_VALUES: dict[tuple[str, Any], Any] = {
 # (path now, value before) -> (path now, value now) of the setting that says it today.
 MOVED_VALUES: dict[tuple[str, Any], tuple[str, Any]] = {
     ("env.dense_reward_scale", 0.0): ("env.reward", "sparse"),
-    ("phases.dense_reward_scale", 0.0): ("phases.reward", "sparse"),
+}
+
+# Field of a phase before -> setting, in `options` of a phase now; None there changed nothing.
+PHASE_NAMES: dict[str, str] = {
+    "num_envs": "rollout.num_envs",
+    "minibatches": "ppo.minibatches",
+    "epochs": "ppo.epochs",
+    "learning_rate": "ppo.learning_rate",
+    "clip": "ppo.clip",
+    "entropy_coefficient": "ppo.entropy_coefficient",
+    "reward": "env.reward",
+    "dense_reward_scale": "env.dense_reward_scale",
+    "failure_penalty": "env.failure_penalty",
+    "sizes": "curriculum.sizes",
 }
 
 # Options of commands that are no settings: (command, option before) -> option now, ("sweep", "--places") -> "--slots".
@@ -92,7 +106,10 @@ def translated(data: Mapping[str, Any], *, for_playing: bool = False) -> dict[st
 def refuse_old_options(options: Mapping[str, Any]) -> None:
     """Raises RenamedSettingError for an option {"policy.kernels": ...} whose path or value is an old spelling."""
     for name, value in options.items():
-        path = ".".join(part for part in name.split(".") if not part.isdecimal())  # phases.0.clip
+        path = ".".join(part for part in name.split(".") if not part.isdecimal())  # phases.0.options.ppo.clip
+        if (field := path.removeprefix("phases.")) != path and field in PHASE_NAMES:
+            raise RenamedSettingError(f"{path} is now called phases.options.{PHASE_NAMES[field]}; use that")
+        path = path.removeprefix("phases.options.")
         if (new := new_path(path)) != path:
             raise RenamedSettingError(f"{path} is now called {new}; use that")
         if removed := _removed(path):
@@ -137,20 +154,22 @@ def _translated_leaves(data: Mapping[str, Any], before: str, now: str, for_playi
                 raise RenamedSettingError(f"{old} is {value!r}, but this setting is gone: {removed.why}; {_NEW_RUN}")
         elif isinstance(value, Mapping) and value:
             yield from _translated_leaves(value, old, path, for_playing)
+        elif path == "phases":
+            yield path, [_translated_phase(phase, for_playing) for phase in value]
         elif isinstance(value, list | tuple):
-            yield path, [_translated_entry(entry, old, path, for_playing) for entry in value]
+            yield path, [_translated_value(path, entry, for_playing) for entry in value]
         elif _is_key((path, value), MOVED_VALUES):
             yield MOVED_VALUES[path, value]
         else:
             yield path, _translated_value(path, value, for_playing)
 
 
-def _translated_entry(entry: Any, before: str, now: str, for_playing: bool) -> Any:
-    """An entry of a list: a table, as of phases, or a value."""
-    if not isinstance(entry, Mapping):
-        return _translated_value(now, entry, for_playing)
-    leaves = _translated_leaves(entry, before, now, for_playing)
-    return {path.removeprefix(f"{now}."): value for path, value in leaves}
+def _translated_phase(phase: Mapping[str, Any], for_playing: bool) -> dict[str, Any]:
+    """A phase whose options have today's names."""
+    named = {PHASE_NAMES[name]: value for name, value in phase.items() if name in PHASE_NAMES and value is not None}
+    options = {new_path(name): value for name, value in {**named, **phase.get("options", {})}.items()}
+    others = {name: value for name, value in phase.items() if name not in (*PHASE_NAMES, "options")}
+    return {**others, "options": dict(_translated_leaves(options, "", "", for_playing))}
 
 
 def _translated_value(path: str, value: Any, for_playing: bool) -> Any:

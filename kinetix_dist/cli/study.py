@@ -324,5 +324,13 @@ def _arms_table(
     for name, values in arms.items():
         own = " ".join(map(str, seeds.get(name, ())))
         cells = [more[name][column] for column in columns] if more else []
-        table.add_row(name, own or "-", *cells, ", ".join(f"{key} {value}" for key, value in values.items()) or "-")
+        shown = ", ".join(f"{key} {_shown(key, value)}" for key, value in values.items())
+        table.add_row(name, own or "-", *cells, shown or "-")
     return table
+
+
+def _shown(option: str, value: Any) -> str:
+    """A value; of phases how many."""
+    from kinetix_dist.sweep.arms import PHASES
+
+    return f"({len(value)})" if option == PHASES else str(value)

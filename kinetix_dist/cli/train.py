@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinetix_dist.cli.option_help import HELP_ALL, WIDTH, options_help, wants_help
+from kinetix_dist.cli.phase_options import PREFIX, override_phases, split_phase_options
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, one_line, user_errors
 from kinetix_dist.text_files import read_json
@@ -130,14 +131,18 @@ def parse(
         base = dataclasses.replace(base, run=dataclasses.replace(base.run, start_from=start_from))
     phases = None
     if known.phases is not None:
-        if single := [option for option in overrides if option.startswith("--phases.")]:
+        if single := [word for word in overrides if word.startswith(PREFIX)]:
             raise UserError(
                 f"--phases FILE has all phases, and {single[0]} is of one; change the file, or leave it out"
             )
         with user_errors(ValueError, OSError):
             phases = read_phases(known.phases)
         base = dataclasses.replace(base, phases=())
-    config = _override(base, overrides, prog)
+    others, of_phases = split_phase_options(overrides)
+    with user_errors(ValueError):
+        config = _override(dataclasses.replace(base, phases=()), others, prog)
+        config = dataclasses.replace(config, phases=base.phases)
+        config = override_phases(config, of_phases, lambda phase, words: _override(phase, words, prog))
     if phases is not None:  # after fields are overridden, which have to go with them
         with user_errors(ValueError, prefix=f"{known.phases}: "):
             config = with_phases(config, phases)
@@ -303,12 +308,13 @@ def _check_levels(config: TrainConfig) -> None:
     from kinetix_dist.level.sets import load_level_set, size_of_drawn_set
 
     check_evaluation_sets(config.evaluation.sets, config.env.size, config.policy.network)
-    order, name = list(SIZES), config.curriculum.levels
-    size = size_of_drawn_set(name) if name else config.env.size
-    if size is None:
-        load_level_set(name, config.env.size)
-    elif order.index(size) > order.index(config.env.size):
-        raise ValueError(f"level set {name!r} does not fit size {config.env.size!r}; choose a larger env.size")
+    for phase in config.schedule.phases:
+        order, name, own = list(SIZES), phase.config.curriculum.levels, phase.config.env.size
+        size = size_of_drawn_set(name) if name else own
+        if size is None:
+            load_level_set(name, own)
+        elif order.index(size) > order.index(own):
+            raise ValueError(f"level set {name!r} does not fit size {own!r}; choose a larger env.size")
 
 
 def _open(args: Args) -> RunDirectory:

@@ -3,6 +3,7 @@
 setting.py (below)  declaration of a field and its limits
 sections.py         sections of the run itself; others stand beside their component
 phases.py           settings that change at a step
+refresh_times.py    updates at which the curriculum is refreshed
 train_config.py     `TrainConfig`, all sections; its hash
 checks.py           checks between sections
 plain.py            to and from plain values

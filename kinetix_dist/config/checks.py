@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Collection
 
 from kinetix_dist.config.sections import RolloutConfig, RunConfig
 from kinetix_dist.curator.config import CurriculumConfig
@@ -62,6 +61,16 @@ def check_network(env: EnvConfig, policy: PolicyConfig) -> None:
         )
 
 
+def check_same_shapes(before: EnvConfig, env: EnvConfig, policy: PolicyConfig) -> None:
+    """Parameters that learned in one environment fit another one."""
+    if env.size != before.size and not NETWORKS[policy.network].plays_all_sizes:
+        able = [name for name in NETWORKS if NETWORKS[name].plays_all_sizes]
+        raise ConfigError(
+            f"env.size is {env.size!r} after {before.size!r}, but parameters of policy.network {policy.network!r} fit "
+            f"levels of one size alone; leave it as it is, or use {' or '.join(map(repr, able))}"
+        )
+
+
 def check_reward(env: EnvConfig, ppo: PpoConfig) -> None:
     """A reward that is shaped by a discount has that of the learner, and its episodes end where they end for it."""
     if not REWARDS[env.reward].uses_discount:
@@ -78,12 +87,11 @@ def check_reward(env: EnvConfig, ppo: PpoConfig) -> None:
         )
 
 
-def check_changed_reward(phase: int, changed: Mapping[str, Any], env: EnvConfig) -> None:
-    """A phase, whose environment is `env`, sets nothing that its reward does not use."""
+def check_changed_reward(changed: Collection[str], env: EnvConfig) -> None:
+    """A phase with the environment `env` changes no setting that its reward does not use."""
     if "env.dense_reward_scale" in changed and not REWARDS[env.reward].uses_dense_scale:
         raise ConfigError(
-            f"phase {phase} sets dense_reward_scale, which env.reward {env.reward!r} does not use; set reward in it, "
-            "too"
+            f"env.dense_reward_scale is not used by env.reward {env.reward!r}; leave it out, or set env.reward, too"
         )
 
 

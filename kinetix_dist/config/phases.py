@@ -7,54 +7,55 @@ does not name stay as they were before.
 
     update    0 ... a-1     a ... b-1     b ...
     config    the run's     phase 1       phase 2          Schedule.at(update).config
+
+A phase can change every setting with which the parameters, the optimiser's state and the processes go on (`FIXED` says
+which these are not). The state of the curriculum begins afresh with a phase that changes what it consists of:
+`Phase.curriculum_since`.
 """
 
 from __future__ import annotations
 
 import bisect
 import dataclasses
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, get_type_hints
 
-from kinetix_dist.renamed_settings import RenamedSettingError, refuse_old_options
+from kinetix_dist.config.plain import build, flat, to_dict
+from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.renamed_settings import PHASE_NAMES, RenamedSettingError, refuse_old_options
 from kinetix_dist.text_files import read_json, read_toml
 
-# Field of `PhaseConfig` -> setting that it changes.
-CHANGES = {
-    "num_envs": "rollout.num_envs",
-    "minibatches": "ppo.minibatches",
-    "epochs": "ppo.epochs",
-    "learning_rate": "ppo.learning_rate",
-    "clip": "ppo.clip",
-    "entropy_coefficient": "ppo.entropy_coefficient",
-    "reward": "env.reward",
-    "dense_reward_scale": "env.dense_reward_scale",
-    "failure_penalty": "env.failure_penalty",
-    "sizes": "curriculum.sizes",
+_SHAPES = "the parameters have their shapes by it"
+_DIVISION = "worlds are divided over processes by it"
+_WHOLE_RUN = "it is of the run as a whole"
+# Setting or section that no phase changes -> why.
+FIXED = {
+    "policy": _SHAPES,
+    "env.observation": _SHAPES,
+    "env.action_space": _SHAPES,
+    "ppo.average_updates": "the learner's state has its parts by it",
+    "ppo.virtual_shards": _DIVISION,
+    "rollout.num_groups": _DIVISION,
+    "rollout.reset_every": "resets are counted from the start of the run",
+    "evaluation": _WHOLE_RUN,
+    "recording": _WHOLE_RUN,
+    "curriculum_log": _WHOLE_RUN,
+    "plasticity": _WHOLE_RUN,
+    "run": _WHOLE_RUN,
 }
+UNCHANGED: dict[str, Any] = dict.fromkeys(PHASE_NAMES)  # a phase of before they had options that changes nothing
+SIZES = "curriculum.sizes"
+# Fields of `curriculum` that say which levels are drawn: its state goes on when they change.
+DRAWN = ("sizes", "filter_noop", "generator")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PhaseConfig:
-    """Settings from a step on. None: as before."""
+    """Settings from a step on."""
 
     start: int  # environment steps, as in progress/env_steps
-    num_envs: int | None = None
-    minibatches: int | None = None
-    epochs: int | None = None
-    learning_rate: float | None = None
-    clip: float | None = None
-    entropy_coefficient: float | None = None
-    reward: str | None = None
-    dense_reward_scale: float | None = None
-    failure_penalty: float | None = None
-    sizes: tuple[tuple[str, float], ...] | None = None
-
-    @property
-    def changed(self) -> dict[str, Any]:
-        """Its settings by their dotted names in a `TrainConfig`."""
-        values = {path: getattr(self, name) for name, path in CHANGES.items()}
-        return {path: value for path, value in values.items() if value is not None}
+    options: dict[str, Any] = dataclasses.field(default_factory=dict, hash=False)  # by full names, {"ppo.clip": 0.1}
 
 
 class _Rollout(Protocol):
@@ -76,6 +77,8 @@ class PhasedConfig(Protocol):
 
     def check_batch(self) -> None: ...
 
+    def check_follows(self, before: Any, changed: Collection[str]) -> None: ...
+
 
 Config = TypeVar("Config", bound=PhasedConfig)
 
@@ -88,7 +91,8 @@ class Phase(Generic[Config]):
     first_update: int
     env_steps: int  # played before it
     config: Config  # with everything that has changed until then, and without phases
-    changed: dict[str, Any]  # by this phase, see `PhaseConfig.changed`
+    changed: dict[str, Any]  # by this phase, by full names
+    curriculum_since: int  # update with which the curriculum's state began
 
     def env_steps_after(self, num_updates: int) -> int:
         """Environment steps after so many updates of the run, `first_update` or more."""
@@ -99,8 +103,10 @@ class Schedule(Generic[Config]):
     """The phases of a run, in order; one that lasts for ever where there are none."""
 
     def __init__(self, config: Config) -> None:
-        """Raises ValueError for phases that do not rise, that change nothing, or whose settings cannot run."""
-        self.phases = [Phase(0, first_update=0, env_steps=0, config=dataclasses.replace(config, phases=()), changed={})]
+        """Raises ValueError for phases that do not rise, that change nothing or what is fixed, or whose settings cannot
+        run."""
+        first = dataclasses.replace(config, phases=())
+        self.phases = [Phase(0, first_update=0, env_steps=0, config=first, changed={}, curriculum_since=0)]
         for number, phase in enumerate(config.phases, start=1):
             self.phases.append(_following(self.phases[-1], number, phase, config.phases))
         self._first_updates = [phase.first_update for phase in self.phases]
@@ -135,16 +141,27 @@ def read_phases(path: Path) -> list[dict[str, Any]]:
             refuse_old_options({"phases": [phase]})
         except RenamedSettingError as error:
             raise ValueError(f"{path}: phase {number}: {error}") from None
-        if unknown := sorted(set(phase) - {"start", *CHANGES}):
+        if unknown := sorted(set(phase) - {"start", "options"}):
             raise ValueError(
-                f"{path}: phase {number} sets {unknown[0]!r}, which no phase can change; it has start and can set "
-                f"{', '.join(CHANGES)}"
+                f"{path}: phase {number} has {unknown[0]!r}; it has start, and options = {{}} with settings by full "
+                'names in quotes, such as "ppo.clip" = 0.1'
             )
         if "start" not in phase:
             raise ValueError(f"{path}: phase {number} has no start; say at how many environment steps it begins")
-        if isinstance(phase.get("sizes"), dict):
-            phase["sizes"] = [list(pair) for pair in phase["sizes"].items()]
+        options = phase.get("options", {})
+        if isinstance(options, dict) and isinstance(options.get(SIZES), dict):
+            options[SIZES] = [list(pair) for pair in options[SIZES].items()]
     return content
+
+
+def numbers_of_phases(schedule: Schedule[Any], phases: tuple[PhaseConfig, ...]) -> list[dict[str, Any]]:
+    """Plain values of phases, in the words from before they could change any setting: `UNCHANGED` and what differs."""
+    names = {option: name for name, option in PHASE_NAMES.items()}
+    return [
+        {"start": config.start, **UNCHANGED}
+        | {names.get(option, option): value for option, value in phase.changed.items()}
+        for config, phase in zip(phases, schedule.phases[1:], strict=True)
+    ]
 
 
 def _following(
@@ -155,8 +172,8 @@ def _following(
     if phase.start <= previous:
         what = f"phase {number - 1} at {previous}" if number > 1 else "the run at 0"
         raise ValueError(f"{name} starts at {phase.start} environment steps, {what}; starts have to rise")
-    if not phase.changed:
-        raise ValueError(f"{name} changes nothing; set one of {', '.join(CHANGES)}, or leave the phase out")
+    if not phase.options:
+        raise ValueError(f'{name} changes nothing; name settings in its options, such as "ppo.clip", or leave it out')
     rollout = before.config.rollout
     num_resets = -(-(phase.start - before.env_steps) // (rollout.reset_every * rollout.steps_per_update))
     num_updates = num_resets * rollout.reset_every
@@ -168,18 +185,63 @@ def _following(
         )
     first_update = before.first_update + num_updates
     try:
-        config = _changed(before.config, phase.changed)
+        config = with_options(before.config, phase.options)
         config.check_batch()
+        config.check_follows(before.config, phase.options)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from error
-    return Phase(number, first_update, before.env_steps_after(first_update), config, phase.changed)
+    return Phase(
+        number,
+        first_update,
+        before.env_steps_after(first_update),
+        config,
+        changed={option: value_of(config, option) for option in phase.options},
+        curriculum_since=before.curriculum_since if _keeps_curriculum(before.config, config) else first_update,
+    )
 
 
-def _changed(config: Any, changes: dict[str, Any]) -> Any:
-    """A config with some fields of its sections replaced: {"ppo.clip": 0.1}."""
+def _keeps_curriculum(before: Any, config: Any) -> bool:
+    """The state of the curriculum goes on: levels are of one size, and its settings but for `DRAWN` are the same."""
+    drawn = {name: getattr(before.curriculum, name) for name in DRAWN}
+    return before.env.size == config.env.size and before.curriculum == _replaced(config.curriculum, drawn)
+
+
+def with_options(config: Config, options: Mapping[str, Any]) -> Config:
+    """A config with other settings, by full names and as plain values. Raises ValueError for those that are unknown, of
+    another type, or fixed."""
+    known = flat(to_dict(config))
+    for option, value in options.items():
+        parts = option.split(".")
+        prefixes = [".".join(parts[:length]) for length in range(1, len(parts) + 1)]
+        if why := next((FIXED[prefix] for prefix in prefixes if prefix in FIXED), None):
+            raise ValueError(f"{option} cannot change within a run: {why}; leave it out of the phase")
+        if option not in known:
+            if any(name.startswith(f"{option}.") for name in known):
+                hint = f'it is a section: name its settings, "{option}.NAME" = VALUE with the quotes'
+            else:
+                hint = did_you_mean(option, known, "`kinetix-dist train --help-all` lists all")
+            raise ValueError(f"unknown setting {option!r}; {hint}")
+        refuse_old_options({option: value})
+    return _replaced(config, options)
+
+
+def _replaced(config: Any, options: Mapping[str, Any]) -> Any:
+    """A config, or a section of one, with fields by dotted names replaced: {"ppo.clip": 0.1}."""
+    hints = get_type_hints(type(config))
     sections: dict[str, dict[str, Any]] = {}
-    for path, value in changes.items():
-        section, field = path.split(".")
-        sections.setdefault(section, {})[field] = value
-    replaced = {name: dataclasses.replace(getattr(config, name), **fields) for name, fields in sections.items()}
-    return dataclasses.replace(config, **replaced)
+    fields: dict[str, Any] = {}
+    for option, value in options.items():
+        name, _, rest = option.partition(".")
+        if rest:
+            sections.setdefault(name, {})[rest] = value
+        else:
+            fields[name] = value if dataclasses.is_dataclass(value) else build(hints[name], value, name)
+    fields |= {name: _replaced(getattr(config, name), inner) for name, inner in sections.items()}
+    return dataclasses.replace(config, **fields)
+
+
+def value_of(config: Any, option: str) -> Any:
+    """Value of a setting, or a section, by its full name."""
+    for name in option.split("."):
+        config = getattr(config, name)
+    return config

@@ -11,17 +11,20 @@ import functools
 import hashlib
 import json
 import math
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from kinetix_dist.config import checks
-from kinetix_dist.config.phases import PhaseConfig, Schedule
+from kinetix_dist.config.phases import UNCHANGED, PhaseConfig, Schedule, numbers_of_phases
 from kinetix_dist.config.plain import check_finite, flat, in_words, to_dict
+from kinetix_dist.config.refresh_times import RefreshTimes, refresh_times
 from kinetix_dist.config.sections import EvaluationConfig, RecordingConfig, RolloutConfig, RunConfig
 from kinetix_dist.curator.config import OWN_SECTIONS, CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.learner.config import PpoConfig
+from kinetix_dist.learner.plasticity import PlasticityConfig
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
@@ -38,6 +41,7 @@ class TrainConfig:
     evaluation: EvaluationConfig = dataclasses.field(default_factory=EvaluationConfig)
     recording: RecordingConfig = dataclasses.field(default_factory=RecordingConfig)
     curriculum_log: CurriculumLogConfig = dataclasses.field(default_factory=CurriculumLogConfig)
+    plasticity: PlasticityConfig = dataclasses.field(default_factory=PlasticityConfig)
     phases: tuple[PhaseConfig, ...] = ()  # from a step on, other settings; the sections above hold until the first
     run: RunConfig
 
@@ -54,8 +58,7 @@ class TrainConfig:
         checks.check_rollout_actors(run, rollout)
         if self.phases:
             self.check_batch()
-            for phase in self.schedule.phases:  # raises for phases that cannot run
-                checks.check_changed_reward(phase.number, phase.changed, phase.config.env)
+            _ = self.refresh_times  # raises for phases that cannot run
 
     @property
     def cut_episodes(self) -> str:
@@ -85,15 +88,26 @@ class TrainConfig:
             whole_worlds=self.policy.recurrent != "none",
         )
 
+    def check_follows(self, before: TrainConfig, changed: Collection[str]) -> None:
+        """Raises ConfigError where the parameters of an earlier phase cannot go on, or a setting that changed is not
+        used."""
+        checks.check_same_shapes(before.env, self.env, self.policy)
+        checks.check_changed_reward(changed, self.env)
+
     @functools.cached_property
     def schedule(self) -> Schedule[TrainConfig]:
         """The configuration of each update. Raises ValueError, one line, for phases that cannot run."""
         return Schedule(self)
 
+    @functools.cached_property
+    def refresh_times(self) -> RefreshTimes:
+        """Updates of refreshes of the curriculum. Raises ValueError, one line, for phases that cannot run."""
+        return refresh_times(self.schedule.phases, policy_lag=self.run.policy_lag)
+
     @property
     def has_curator(self) -> bool:
-        """Levels are scored: by curators in the background, or by workers between updates."""
-        return self.curriculum_class.refreshes
+        """Levels are scored in some phase: by curators in the background, or by workers between updates."""
+        return any(phase.config.curriculum_class.refreshes for phase in self.schedule.phases)
 
     @property
     def workers_curate(self) -> bool:
@@ -154,31 +168,34 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     """Settings that the parameters after k updates depend on, as plain values."""
     sections = to_dict(config)
     counted = {name: sections[name] for name in ("env", "policy", "ppo", "curriculum", "rollout")}
+    read = {section for phase in config.schedule.phases for section in phase.config.curriculum_class.sections}
     for section in OWN_SECTIONS:
-        if section not in config.curriculum_class.sections:
+        if section not in read:
             del counted["curriculum"][section]
     for (section, field), neutral in _NEUTRAL.items():
         if counted[section][field] == neutral:
             del counted[section][field]
     del counted["env"]["shaping_discount"]  # where it counts it is ppo.discount
-    counted["env"] = _before_rewards(counted["env"], usual=EnvConfig())
-    phases = [_before_rewards(phase, usual=PhaseConfig(start=0)) for phase in sections["phases"]]
+    counted["env"] = _before_rewards(counted["env"], usual=to_dict(EnvConfig()))
+    phases = numbers_of_phases(config.schedule, config.phases)
+    counted["phases"] = [_before_rewards(phase, usual=UNCHANGED) for phase in phases]
     run = {"seed": config.run.seed, "policy_lag": config.run.policy_lag}
     run |= {"start_from": config.run.start_from, "start_optimizer": config.run.start_optimizer}
-    return counted | {"phases": phases, "run": run}
+    return counted | {"run": run}
 
 
-def _before_rewards(settings: dict[str, Any], *, usual: EnvConfig | PhaseConfig) -> dict[str, Any]:
+def _before_rewards(settings: Mapping[str, Any], *, usual: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of `env` or of a phase in the words from before `env.reward`, so that runs from then go on.
 
-    The reward was "dense", or "sparse" where `dense_reward_scale` was 0, which no configuration of today has.
+    The reward was "dense", or "sparse" where `dense_reward_scale` was 0, which no configuration of today has. usual: of
+    both, where nobody sets them.
     """
     before = {name: value for name, value in settings.items() if name != "reward"}
-    if settings["reward"] == usual.reward:
+    if settings["reward"] == usual["reward"]:
         return before
-    if settings["reward"] == "sparse" and settings["dense_reward_scale"] == usual.dense_reward_scale:
+    if settings["reward"] == "sparse" and settings["dense_reward_scale"] == usual["dense_reward_scale"]:
         return before | {"dense_reward_scale": 0.0}
-    return settings
+    return dict(settings)
 
 
 def differences(ours: TrainConfig, theirs: TrainConfig) -> list[str]:

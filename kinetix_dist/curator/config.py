@@ -152,15 +152,3 @@ class CurriculumConfig:
     def num_batches(self) -> int:
         """Batches of candidates, each scored at once."""
         return self.num_candidates // self.scoring_batch
-
-    def is_refresh_due(self, num_updates: int) -> bool:
-        """A refresh is requested at the start of this update, with the policy version of that number."""
-        return num_updates % self.refresh_every == 0
-
-    def next_refresh(self, num_updates: int) -> int:
-        """The first update from this one on at which one is due."""
-        return -(-num_updates // self.refresh_every) * self.refresh_every
-
-    def adopted_at(self, requested_at: int) -> int:
-        """The update that first uses the refresh requested at `requested_at`. The first one is used at once."""
-        return requested_at if requested_at == 0 else requested_at + self.adopt_after

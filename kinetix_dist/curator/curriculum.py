@@ -64,6 +64,8 @@ class CurriculumTools:
     load_levels: Callable[[str], Level]  # of a level set or a path, in the run's size
     advantages: Callable[[Trajectory, Array], Array]  # (trajectory, last values) -> [T, W], the learner's
     agents: Agents  # that learn next to the policy
+    # Whether the refresh of a policy version is the first one of a state, in the run or in a phase.
+    is_first_refresh: Callable[[int], bool] = lambda policy_version: policy_version == 0
     devices: Sequence[Any] = dataclasses.field(default_factory=jax.local_devices)  # for `refresh`, of this process
 
     def draw_fresh(self, group_keys: Array, levels_per_group: int) -> Level:

@@ -174,8 +174,9 @@ class SflSlices(Curriculum):
         """Every `num_parts`-th batch of the candidates, scored by `params`. Those from training come first, in whole
         batches."""
         config = self.tools.config
-        batch_size, size = config.scoring_batch, self._num_adopted(policy_version)
-        num_slices = size // config.slices.slice_size
+        is_first = self.tools.is_first_refresh(policy_version)  # it fills the buffer
+        num_slices = config.buffer_size // config.slices.slice_size if is_first else 1
+        batch_size = config.scoring_batch
         batches = range(part, num_slices * config.num_batches, num_parts)
         num_harvested = 0 if given is None else int(given["count"]) // batch_size
         devices = self.tools.devices[: len(batches)]
@@ -210,14 +211,14 @@ class SflSlices(Curriculum):
         return scored(
             Candidates(candidate, *counts, np.concatenate(features)),
             lambda index: jax.tree.map(lambda *xs: np.concatenate(xs)[slot_of[index]], *finalists),
-            size=size,
+            size=num_slices * config.slices.slice_size,
             policy_version=policy_version,
             min_finished=config.slices.attempts[-1],
         )
 
     def join(self, parts: Sequence[Scored]) -> LevelBuffer:
         """A slice, or at first a whole buffer."""
-        return keep_best(parts, self._num_adopted(int(parts[0].policy_version)), self.tools.config.slices.attempts[-1])
+        return keep_best(parts, num_adopted(self.tools.config, parts), self.tools.config.slices.attempts[-1])
 
     def adopt(self, state: SliceBuffer | None, refreshed: LevelBuffer) -> SliceBuffer:
         if state is None:
@@ -230,8 +231,7 @@ class SflSlices(Curriculum):
     @classmethod
     def refresh_log(cls, config: CurriculumConfig, parts: Sequence[Scored]) -> dict[str, np.ndarray]:
         """Arrays of the adopted levels alone."""
-        size = num_adopted(config, int(parts[0].policy_version))
-        return refresh_log(parts, size, config.slices.attempts[-1])
+        return refresh_log(parts, num_adopted(config, parts), config.slices.attempts[-1])
 
     @classmethod
     def buffer_log(cls, state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -252,15 +252,12 @@ class SflSlices(Curriculum):
             **{f"{LEVELS}{path}": array for path, array in levels.items()},
         }
 
-    def _num_adopted(self, policy_version: int) -> int:
-        return num_adopted(self.tools.config, policy_version)
-
     def _play_launch(self, params: Any, levels: Level, number: Array, key: Array) -> Array:
         """[B] int32, 1 where the first episode of a world on its level was solved. number [B]: of these levels."""
         levels = jax.tree.map(lambda x: x[number], levels)
         return self.tools.play(params, levels, key, self.tools.max_steps).first_solved
 
 
-def num_adopted(config: CurriculumConfig, policy_version: int) -> int:
-    """Levels that a refresh adopts: those of the first one fill the buffer."""
-    return config.buffer_size if policy_version == 0 else config.slices.slice_size
+def num_adopted(config: CurriculumConfig, parts: Sequence[Scored]) -> int:
+    """Levels that a refresh adopts: a slice of each `num_candidates`; of the first one as many as fill the buffer."""
+    return sum(len(part.candidate) for part in parts) // config.num_candidates * config.slices.slice_size

@@ -41,6 +41,7 @@ from kinetix_dist.env.observations.entities import JOINT_COLOUR, THRUSTER_COLOUR
 from kinetix_dist.models.attention import pack_mask
 from kinetix_dist.models.colour_readout import sum_by_colour
 from kinetix_dist.models.gru import apply_towers
+from kinetix_dist.models.hidden_units import note_units
 from kinetix_dist.models.kernels.support import LayerShape, uses_fused
 from kinetix_dist.models.layer import (
     XLA,
@@ -99,8 +100,8 @@ class EntityTransformer(nn.Module):
         joint_kernels, joint_terms = self._message_terms("joint_messages", joints, parts, num_ends=2)
         thruster_kernels, thruster_terms = self._message_terms("thruster_messages", thrusters, parts, num_ends=1)
         for layer in range(self.num_layers):
-            x = self._attention(layer, x, mask_words, parts)
-            x = self._feed_forward(layer, x, parts)
+            x = self._attention(layer, x, mask_words, token_mask, parts)
+            x = self._feed_forward(layer, x, token_mask, parts)
             terms, kernels = (
                 (joint_terms[layer], thruster_terms[layer]),
                 (joint_kernels[layer], thruster_kernels[layer]),
@@ -155,7 +156,7 @@ class EntityTransformer(nn.Module):
 
         return FUSED
 
-    def _attention(self, layer: int, x: Array, mask_words: Array, parts: LayerParts) -> Array:
+    def _attention(self, layer: int, x: Array, mask_words: Array, token_mask: Array, parts: LayerParts) -> Array:
         size, features, name = self.encoder_size, self.attention_features, f"attention_{layer}"
         kernel = self.param(f"{name}_qkv_kernel", lecun_normal(), (size, 3 * features), jnp.float32)
         bias = self.param(f"{name}_qkv_bias", zeros, (3 * features,), jnp.float32)
@@ -168,18 +169,22 @@ class EntityTransformer(nn.Module):
         heads = (NUM_MASKS, self.num_heads // NUM_MASKS)
         arguments = (mask_words, kernel, bias, out_kernel, out_bias, heads)
         if self.gated:
-            return self._gate(name, *parts.attention_branch(x, *arguments), parts)
+            x, update = parts.attention_branch(x, *arguments)
+            note_units(self, name, update, token_mask)
+            return self._gate(name, x, update, parts)
         x, update = attention_update(x, *arguments)
         return x + update
 
-    def _feed_forward(self, layer: int, x: Array, parts: LayerParts) -> Array:
+    def _feed_forward(self, layer: int, x: Array, token_mask: Array, parts: LayerParts) -> Array:
         size, name = self.encoder_size, f"feed_forward_{layer}"
         kernel = self.param(f"{name}_kernel", lecun_normal(), (size, size), jnp.float32)
         bias = self.param(f"{name}_bias", zeros, (size,), jnp.float32)
         kernel, bias = self._fold_norm(name, kernel, bias)
+        branch = parts.feed_forward_branch if self.gated else feed_forward_update
+        x, update = branch(x, kernel, bias)
+        note_units(self, name, update, token_mask)
         if self.gated:
-            return self._gate(name, *parts.feed_forward_branch(x, kernel, bias), parts)
-        x, update = feed_forward_update(x, kernel, bias)
+            return self._gate(name, x, update, parts)
         out_kernel = self.param(f"{name}_out_kernel", lecun_normal(), (size, size), jnp.float32)
         out_bias = self.param(f"{name}_out_bias", zeros, (size,), jnp.float32)
         return x + linear(update, out_kernel) + out_bias.astype(self.dtype)

@@ -12,6 +12,7 @@ from flax import linen as nn
 
 from jax2d.scene import Array
 from kinetix_dist.models.gru import apply_towers
+from kinetix_dist.models.hidden_units import note_units
 from kinetix_dist.models.towers import TANH_GAIN, Towers
 
 
@@ -29,5 +30,6 @@ class FlatMlp(nn.Module):
     def __call__(self, obs: Array, memory: Array | None = None, *, is_first: Array | None = None) -> Any:
         dense = nn.Dense(self.flat_size, kernel_init=nn.initializers.orthogonal(TANH_GAIN), name="encoder")
         embedding = jnp.tanh(dense(obs)).astype(self.dtype)
+        note_units(self, "encoder", embedding)
         towers = Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")
         return apply_towers(towers, embedding, memory, is_first, self.memory_size)

@@ -13,6 +13,7 @@ from flax import linen as nn
 
 from jax2d.scene import Array
 from kinetix_dist.models.gru import apply_towers
+from kinetix_dist.models.hidden_units import note_units
 from kinetix_dist.models.towers import TANH_GAIN, Towers
 
 # (features, side of the kernel, stride)
@@ -45,6 +46,7 @@ class PixelCnn(nn.Module):
                 name=f"convolution_{number}",
             )
             x = nn.relu(convolve(x))
+            note_units(self, f"convolution_{number}", x)
         embedding = x.reshape(x.shape[0], -1)
         towers = Towers(self.hidden_size, self.hidden_layers, self.head_sizes, name="towers")
         return apply_towers(towers, embedding, memory, is_first, self.memory_size)

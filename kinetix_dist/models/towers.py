@@ -13,6 +13,7 @@ from flax import linen as nn
 from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.models.colour_readout import ColourReadOut
+from kinetix_dist.models.hidden_units import UNITS, note_features, note_units
 from kinetix_dist.models.linear import linear, stored_gradient
 
 orthogonal = nn.initializers.orthogonal
@@ -47,7 +48,9 @@ class Towers(nn.Module):
             kernel = self.param(f"kernel_{layer}", stacked(orthogonal(TANH_GAIN)), shape, jnp.float32)
             bias = self.param(f"bias_{layer}", nn.initializers.zeros, (2, self.hidden_size), jnp.float32)
             both = jnp.tanh(jax.vmap(linear)(both, kernel) + bias[:, None].astype(both.dtype))
+            self._note_layer(layer, both)
         actor, critic = both.astype(jnp.float32)  # the last layer is small: float32 keeps log-probabilities exact
+        note_features(self, actor, critic)
         value = nn.Dense(1, kernel_init=orthogonal(1.0), name="critic_output")(critic)
         if by_colour is not None:
             read_out = ColourReadOut(self.hidden_size, self.head_sizes, ACTOR_OUTPUT_GAIN, name="read_out")
@@ -56,3 +59,8 @@ class Towers(nn.Module):
         logits = stored_gradient(logits)  # else the sum over the batch computes the loss's for each of its columns
         ends = [sum(self.head_sizes[:i]) for i in range(1, len(self.head_sizes))]
         return tuple(jnp.split(logits, ends, axis=-1)), value[..., 0]
+
+    def _note_layer(self, layer: int, both: Array) -> None:
+        if self.is_mutable_collection(UNITS):
+            note_units(self, f"actor_{layer}", both[0])
+            note_units(self, f"critic_{layer}", both[1])

@@ -1,8 +1,7 @@
 """Training of a study in one directory, and its results there.
 
     runs/studies/NAME/   design.json, arms/RUN/ (run directories), logs/RUN.log
-                         NAME.csv, NAME.md, NAME.png, study.json (and NAME_levels.csv or NAME_learnability.csv),
-                         written again after each run
+                         NAME.csv, NAME.md, NAME.png, study.json and what the figure adds, written again after each run
 
 It holds no state that is not in the run directories: a run is done when it was evaluated at its last step, which is
 also how the same command goes on where another one stopped.
@@ -20,12 +19,14 @@ from kinetix_dist.config import to_dict
 from kinetix_dist.errors import user_errors
 from kinetix_dist.studio.runs.run_files import RunFileError, read_object
 from kinetix_dist.study.cost import trained_minutes
+from kinetix_dist.study.forgetting import forgetting, trained_runs
 from kinetix_dist.study.picture import draw
 from kinetix_dist.study.plan import Plan
 from kinetix_dist.study.records import is_complete, read_records
-from kinetix_dist.study.report import finding, markdown, state
+from kinetix_dist.study.report import finding, forgetting_finding, markdown, state
+from kinetix_dist.study.study_file import FORGETTING, LEARNABILITY, LEVELS
 from kinetix_dist.study.summary import summarise
-from kinetix_dist.study.tables import learnability_csv, levels_csv, points_csv
+from kinetix_dist.study.tables import forgetting_csv, learnability_csv, levels_csv, points_csv, transfer_csv
 from kinetix_dist.sweep.arms import Run
 from kinetix_dist.sweep.results_directory import ResultsDirectory, write_json
 from kinetix_dist.sweep.run_loop import Callbacks, RunLoop, RunsFailedError
@@ -72,17 +73,26 @@ def write_results(path: Path, plan: Plan) -> list[Path]:
     with user_errors(RunFileError, prefix=f"{path}: "):
         summary = summarise(path, plan)
         minutes = trained_minutes(path, plan.runs)
-    texts = {f"{study.name}.csv": points_csv(summary.records), f"{study.name}.md": markdown(plan, summary, minutes)}
-    if study.figure.kind == "levels":
+    runs = trained_runs(plan, summary) if study.figure.kind == FORGETTING else []
+    results = forgetting(plan, runs)
+    texts = {
+        f"{study.name}.csv": points_csv(summary.records),
+        f"{study.name}.md": markdown(plan, summary, results, minutes),
+    }
+    if study.figure.kind == LEVELS:
         texts[f"{study.name}_levels.csv"] = levels_csv(summary.records, study.num_points)
-    if study.figure.kind == "learnability":
+    if study.figure.kind == LEARNABILITY:
         texts[f"{study.name}_learnability.csv"] = learnability_csv(summary.refreshes)
+    if study.figure.kind == FORGETTING:
+        texts[f"{study.name}_forgetting.csv"] = forgetting_csv(runs)
+        texts[f"{study.name}_transfer.csv"] = transfer_csv(runs, study.figure.tasks)
     picture = path / f"{study.name}.png"
     with user_errors(OSError, prefix=f"{path}: results cannot be written: "):
         for name, text in texts.items():
             replace_file(path / name, text.encode())
-        draw(study, summary, picture)
-    known = {"state": state(plan, summary), "finding": finding(plan, summary), "minutes": round(minutes, 1)}
+        draw(study, summary, results, picture)
+    shown = forgetting_finding(results) if study.figure.kind == FORGETTING else finding(plan, summary)
+    known = {"state": state(plan, summary), "finding": shown, "minutes": round(minutes, 1)}
     write_json(path / RESULTS, {"name": study.name, "hash": plan.hash, **known})
     return [*(path / name for name in texts), picture]
 

@@ -43,7 +43,6 @@ def read_refreshes(path: Path, plan: Plan) -> tuple[Refresh, ...]:
 
 
 def _of_run(path: Path, run: Run) -> Iterator[Refresh]:
-    steps = run.config.rollout.steps_per_update
     for entry in Refreshes(directory_of(path, run)).summaries()["snapshots"]:
         if entry["kind"] != REFRESH:
             continue
@@ -52,7 +51,7 @@ def _of_run(path: Path, run: Run) -> Iterator[Refresh]:
         yield Refresh(
             run=run,
             update=entry["number"],
-            env_steps=entry["number"] * steps,
+            env_steps=run.config.schedule.env_steps(entry["number"]),
             fresh=candidates["learnability"],
             claimed=entry["buffer"]["claimed"],
             measured=None if training is None else training["learnability"],

@@ -1,56 +1,77 @@
-"""Picture of a study: solve rates over environment steps, a panel a set; and, by the kind of its figure, the
-rate of each level, or the learnability of what a curriculum chose."""
+"""Picture of a study: solve rates over environment steps, a panel a set; and, by the kind of its figure, the rate of
+each level, the learnability of what a curriculum chose, or, first, the rates after each phase.
+
+The kinds give blocks of panels. Each block begins a row.
+"""
 
 from __future__ import annotations
 
-import math
+import functools
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from kinetix_dist.study.forgetting import Forgetting
 from kinetix_dist.study.learnability import KINDS, Refresh, over_seeds
 from kinetix_dist.study.records import Record
-from kinetix_dist.study.study_file import Study
+from kinetix_dist.study.report import row_name
+from kinetix_dist.study.study_file import LEVELS, Study
 from kinetix_dist.study.summary import Summary, estimate_at
 
 PANEL_INCHES = (5.0, 3.8)
 MAX_COLUMNS = 3
 LETTERS_PER_COLUMN = 45  # of the title
 DPI = 90
+MAX_WITH_NUMBERS = 8  # columns of a matrix
 
 
-def draw(study: Study, summary: Summary, file: Path) -> None:
-    """Writes the picture; the format follows the file's ending. Raises OSError."""
+DrawPanel = Callable[[Any], None]
+
+
+def draw(study: Study, summary: Summary, forgetting: Sequence[Forgetting], file: Path) -> None:
+    """Writes the picture; the format follows the file's ending. forgetting: of arms, where the study is about that.
+    Raises OSError."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    arms = [arm.name for arm in study.arms if _of(summary, arm.name)]
-    by_level = arms if study.figure.kind == "levels" else []
-    choosing = [arm for arm in arms if any(refresh.run.arm.name == arm for refresh in summary.refreshes)]
     num_columns = min(len(study.panels), MAX_COLUMNS)
-    rows_of_sets = math.ceil(len(study.panels) / num_columns)  # of the curves, and of each arm's levels
-    rows_of_choosing = math.ceil(len(choosing) / num_columns)
-    num_rows = rows_of_sets * (1 + len(by_level)) + rows_of_choosing
-    size = (PANEL_INCHES[0] * num_columns, PANEL_INCHES[1] * num_rows)
-    figure, grid = plt.subplots(num_rows, num_columns, figsize=size, layout="constrained", squeeze=False)
-    of_sets, of_choosing = np.split(grid, [num_rows - rows_of_choosing])
-    blocks = of_sets.reshape(1 + len(by_level), rows_of_sets * num_columns)
-    for number, level_set in enumerate(study.panels):
-        _draw_curves(blocks[0, number], level_set, {arm: _of(summary, arm, level_set) for arm in arms})
-        for block, arm in enumerate(by_level, start=1):
-            _draw_levels(blocks[block, number], study, arm, _of(summary, arm, level_set))
-    for panel, arm in zip(of_choosing.flat, choosing, strict=False):
-        _draw_learnability(panel, arm, summary.refreshes)
-    for panel in [*blocks[:, len(study.panels) :].flat, *of_choosing.flat[len(choosing) :]]:
-        panel.set_visible(False)
+    blocks = _blocks(study, summary, forgetting)
+    rows = [block[first : first + num_columns] for block in blocks for first in range(0, len(block), num_columns)]
+    size = (PANEL_INCHES[0] * num_columns, PANEL_INCHES[1] * len(rows))
+    figure, grid = plt.subplots(len(rows), num_columns, figsize=size, layout="constrained", squeeze=False)
+    for panels, row in zip(grid, rows, strict=True):
+        for panel, draw_panel in zip(panels, row, strict=False):
+            draw_panel(panel)
+        for panel in panels[len(row) :]:
+            panel.set_visible(False)
     figure.suptitle(textwrap.fill(study.question, LETTERS_PER_COLUMN * num_columns))
     figure.savefig(file, dpi=DPI)
     plt.close(figure)
+
+
+def _blocks(study: Study, summary: Summary, forgetting: Sequence[Forgetting]) -> list[list[DrawPanel]]:
+    """Blocks of panels, from the top."""
+    partial = functools.partial
+    arms = [arm.name for arm in study.arms if _of(summary, arm.name)]
+    by_set = {name: {arm: _of(summary, arm, name) for arm in arms} for name in study.panels}
+    choosing = [arm for arm in arms if any(refresh.run.arm.name == arm for refresh in summary.refreshes)]
+    levels: list[list[DrawPanel]] = []
+    if study.figure.kind == LEVELS:
+        levels = [
+            [partial(_draw_levels, study=study, arm=arm, records=by_arm[arm]) for by_arm in by_set.values()]
+            for arm in arms
+        ]
+    return [
+        [partial(_draw_matrix, result=result) for result in forgetting],
+        [partial(_draw_curves, level_set=name, by_arm=by_arm) for name, by_arm in by_set.items()],
+        *levels,
+        [partial(_draw_learnability, arm=arm, refreshes=summary.refreshes) for arm in choosing],
+    ]
 
 
 def _of(summary: Summary, arm: str, level_set: str | None = None) -> list[Record]:
@@ -84,6 +105,25 @@ def _draw_curves(panel: Any, level_set: str, by_arm: dict[str, list[Record]]) ->
     panel.grid(alpha=0.3)
     if any(by_arm.values()):
         panel.legend(fontsize=8)
+
+
+def _draw_matrix(panel: Any, result: Forgetting) -> None:
+    """Rates on each set after each phase, from white to dark, with numbers where there is room for them; what the phase
+    trained for has a frame."""
+    from matplotlib.patches import Rectangle
+
+    num_rows, num_columns = result.rates.shape
+    panel.imshow(result.rates, aspect="auto", cmap="Blues", vmin=0, vmax=1, interpolation="nearest")
+    for row, task in enumerate(result.tasks, start=1):
+        corner = (result.sets.index(task) - 0.5, row - 0.5)
+        panel.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor="C1", linewidth=1.5))
+    if num_columns <= MAX_WITH_NUMBERS:
+        for row, column in np.ndindex(num_rows, num_columns):
+            rate = result.rates[row, column]
+            panel.text(column, row, f"{100 * rate:.0f}", ha="center", va="center", color="w" if rate > 0.6 else "k")
+    panel.set_xticks(range(num_columns), result.sets, rotation=90 if num_columns > MAX_WITH_NUMBERS else 20, fontsize=7)
+    panel.set_yticks(range(num_rows), [row_name(row, result.tasks) for row in range(num_rows)], fontsize=7)
+    panel.set_title(f"{result.arm}: solved, %, after each phase", fontsize=9)
 
 
 def _draw_learnability(panel: Any, arm: str, refreshes: Sequence[Refresh]) -> None:

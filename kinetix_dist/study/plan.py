@@ -12,7 +12,7 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.evaluation.evaluation_sets import check_evaluation_sets
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.recipes import recipe
-from kinetix_dist.study.study_file import Study
+from kinetix_dist.study.study_file import FORGETTING, Study
 from kinetix_dist.sweep.arms import SET_BY_SWEEP, Arm, Run, check_options, digests_of, make_run, short_hash
 from kinetix_dist.sweep.design import DesignError
 from kinetix_dist.sweep.results_directory import ARMS
@@ -71,6 +71,9 @@ def plan_of(study: Study, *, seeds: int | None = None, arms: Collection[str] = (
     made = [Arm(name=arm.name, options={**study.options, **arm.options}) for arm in study.arms]
     runs = [_run(study, base, arm, seed) for seed in sorted({*wanted, *present}) for arm in made]
     _check_sets(runs)
+    if study.figure.kind == FORGETTING:
+        for run in runs:
+            _check_phases(study, run)
     chosen = [run for run in runs if run.seed in wanted and (not arms or run.arm.name in arms)]
     first_runs = [_run(study, base, arm, first) for arm in made]
     return Plan(study=study, runs=tuple(runs), chosen=tuple(chosen), hash=_hash(study, first_runs))
@@ -127,6 +130,29 @@ def _check_sets(runs: Sequence[Run]) -> None:
             check_evaluation_sets(sets, size, network)
         except (ValueError, OSError) as error:
             raise DesignError(f"sets: {one_line(error)}") from error
+
+
+def _check_phases(study: Study, run: Run) -> None:
+    """Raises DesignError for an arm whose phases are not the tasks, or do not end with an evaluation. An arm without
+    phases is one that learns everything at once."""
+    phases, every, tasks = run.config.schedule.phases, run.config.evaluation.every, study.figure.tasks
+    if len(phases) > 1 and len(phases) != len(tasks):
+        raise DesignError(
+            f"arm {run.arm.name} has {len(phases)} phases, the one that it begins with included, and figure.tasks "
+            f"{len(tasks)} sets; give as many"
+        )
+    for phase in phases:
+        if phase.first_update % every:
+            steps = every * run.config.rollout.steps_per_update
+            raise DesignError(
+                f"arm {run.arm.name}: phase {phase.number} begins after {phase.first_update} updates, between two "
+                f"evaluations, which are {every} apart; let it start at a multiple of {steps:,} environment steps"
+            )
+        if phase.env_steps >= run.config.run.total_env_steps:
+            raise DesignError(
+                f"arm {run.arm.name}: phase {phase.number} begins after {phase.env_steps:,} environment steps, and the "
+                f"run ends at {run.config.run.total_env_steps:,}; raise env_steps, or start it earlier"
+            )
 
 
 def _hash(study: Study, runs: Sequence[Run]) -> str:

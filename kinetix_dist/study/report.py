@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
+from kinetix_dist.study.forgetting import MEASURES, Forgetting
 from kinetix_dist.study.learnability import sentences as learnability
 from kinetix_dist.study.plan import Plan
 from kinetix_dist.study.study_file import NOT_RUN, Study
@@ -20,8 +21,8 @@ _OVER = {
 }
 
 
-def markdown(plan: Plan, summary: Summary, minutes: float) -> str:
-    """Text of NAME.md. minutes: of training, over all runs."""
+def markdown(plan: Plan, summary: Summary, forgetting: Sequence[Forgetting], minutes: float) -> str:
+    """Text of NAME.md. forgetting: of arms, where the study is about that; minutes: of training, over all runs."""
     study = plan.study
     parts = [
         f"# {study.name}",
@@ -30,6 +31,8 @@ def markdown(plan: Plan, summary: Summary, minutes: float) -> str:
         wrapped(f"**Ours.** {paragraph(plan, summary)}"),
         wrapped(f"**State.** {state(plan, summary)}. {minutes:.1f} minutes of training, over all runs."),
     ]
+    if forgetting:
+        parts += [wrapped(forgetting_paragraph(forgetting)), *map(_matrix, forgetting)]
     if summary.results:
         parts += [_table(study, summary.results), f"![{study.question}]({study.name}.png)"]
     return "\n\n".join(parts) + "\n"
@@ -75,6 +78,42 @@ def finding(plan: Plan, summary: Summary) -> str:
         return NOT_RUN
     less = f", points less {plan.study.reference}" if own[0].difference or len(own) > 1 else ""
     return f"{plan.study.panels[0]}{less}: {', '.join(found)}"
+
+
+def forgetting_paragraph(results: Sequence[Forgetting]) -> str:
+    """Forgetting and transfer of each arm, in sentences."""
+    sentences = ["Points of solve rate, over the sets that the phases train for (see docs/studies.md)."]
+    for result in results:
+        found = ", ".join(f"{name} {points(result.measures[name])}" for name in MEASURES[1:] if name in result.measures)
+        at_the_end = f"{result.arm}: {percent(result.measures[MEASURES[0]])} % solved at the end"
+        sentences.append(f"{at_the_end}; {found}." if found else f"{at_the_end}; it has no phases.")
+    return f"**Forgetting.** {' '.join(sentences)}"
+
+
+def forgetting_finding(results: Sequence[Forgetting]) -> str:
+    """What arms solve at the end and forgot, in one sentence; "not run yet"."""
+    found = []
+    for result in results:
+        forgotten = result.measures.get(MEASURES[1])
+        rate = f"{result.arm} {percent(result.measures[MEASURES[0]])} % at the end"
+        found.append(rate if forgotten is None else f"{rate}, {points(forgotten)} forgotten")
+    return "; ".join(found) or NOT_RUN
+
+
+def _matrix(result: Forgetting) -> str:
+    """Table of an arm: solve rates on each set, a row after each phase."""
+    rows = [f"| {result.arm}, % | {' | '.join(result.sets)} |", f"|{'---|' * (len(result.sets) + 1)}"]
+    for number, rates in enumerate(result.rates):
+        cells = " | ".join(f"{100 * rate:.1f}" for rate in rates)
+        rows.append(f"| {row_name(number, result.tasks)} | {cells} |")
+    return "\n".join(rows)
+
+
+def row_name(number: int, tasks: Sequence[str]) -> str:
+    """Name of a row of a forgetting matrix. tasks: of the phases of an arm, or none."""
+    if number == 0:
+        return "before"
+    return f"{number}: {tasks[number - 1]}" if tasks else "at the end"
 
 
 def state(plan: Plan, summary: Summary) -> str:

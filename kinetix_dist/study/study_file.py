@@ -22,11 +22,12 @@ from typing import Any
 
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.setting import check_settings, setting
+from kinetix_dist.sweep.arms import PHASES
 from kinetix_dist.sweep.design import ArmOptions, DesignError, check_names, check_option_names
 
 FORMAT = 1
 NOT_RUN = "not run yet"
-FIGURES = ("curves", "levels", "learnability")
+CURVES, LEVELS, LEARNABILITY, FORGETTING = FIGURES = ("curves", "levels", "learnability", "forgetting")
 SMALL = "_small"  # after the name of a study in its small version
 
 
@@ -46,12 +47,19 @@ class Cost:
 class Figure:
     """Picture of the results."""
 
-    # Curves, a panel a set. Besides: "levels", each level's rate, a panel an arm; "learnability", of what was chosen.
-    kind: str = setting("curves", choices=FIGURES)
+    # Curves, a panel a set. Besides: "levels", each level's rate, a panel an arm; "learnability", of what was chosen;
+    # "forgetting", rates after each phase, a matrix an arm.
+    kind: str = setting(CURVES, choices=FIGURES)
     sets: tuple[str, ...] = ()  # panels, in this order; (): all sets
+    tasks: tuple[str, ...] = ()  # of "forgetting": the set that each phase of an arm trains for, in order
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if bool(self.tasks) != (self.kind == FORGETTING):
+            raise DesignError(
+                f"figure.kind is {self.kind!r} and figure.tasks {', '.join(self.tasks) or 'none'}; tasks, the set that "
+                f"each phase trains for, belong to {FORGETTING!r}, and to no other"
+            )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -77,6 +85,8 @@ class Small:
     seeds: int = 1
     arms: tuple[str, ...] = ()  # of the study; (): all
     options: dict[str, Any] = dataclasses.field(default_factory=dict)  # in place of the study's; over those of arms
+    phases: tuple[dict[str, Any], ...] = ()  # of arms that have any, in place of theirs
+    tasks: tuple[str, ...] = ()  # in place of figure.tasks
 
     def __post_init__(self) -> None:
         check_option_names(self.options, "small.options")
@@ -120,13 +130,16 @@ class Study:
             raise DesignError(f"reference {self.reference!r} is no arm; {hint}")
         if not self.sets or len(set(self.sets)) < len(self.sets):
             raise DesignError(f"sets are {', '.join(self.sets) or 'none'}; name one level set or more, each once")
-        if missing := [name for name in self.figure.sets if name not in self.sets]:
-            raise DesignError(f"figure.sets has {missing[0]}, which is not one of the sets; add it to them")
+        for field in ("sets", "tasks"):
+            if missing := [name for name in getattr(self.figure, field) if name not in self.sets]:
+                raise DesignError(f"figure.{field} has {missing[0]}, which is not one of the sets; add it to them")
         self._check_length("", self.env_steps)
         for arm in self.arms:
             self._check_length(f" of arm {arm.name}", self.env_steps_of(arm.name))
             if missing := [name for name in arm.sets if name not in self.sets]:
                 raise DesignError(f"arm {arm.name} has set {missing[0]}, which is not one of the sets; add it to them")
+            if missing := [name for name in self.figure.tasks if name not in self.sets_of(arm.name)]:
+                raise DesignError(f"arm {arm.name} is not evaluated on {missing[0]}, a task; add it to its sets")
         if self.small is not None:
             _ = self.as_small  # raises where it is none
 
@@ -179,10 +192,11 @@ class Study:
         for name in small.arms:
             if name not in names:
                 raise DesignError(f"small.arms has {name!r}; {did_you_mean(name, names, f'arms are {_listed(names)}')}")
+        phases = {PHASES: list(small.phases)}
         arms = [
             dataclasses.replace(
                 arm,
-                options={**arm.options, **small.options},
+                options={**arm.options, **small.options, **(phases if PHASES in arm.options else {})},
                 env_steps=None if arm.env_steps is None else arm.env_steps * small.env_steps // self.env_steps,
                 sets=tuple(name for name in arm.sets if name in small.sets),
             )
@@ -205,7 +219,7 @@ class Study:
                 cost=small.cost,
                 options={},
                 arms=tuple(arms),
-                figure=dataclasses.replace(self.figure, sets=()),
+                figure=dataclasses.replace(self.figure, sets=(), tasks=small.tasks),
                 small=None,
             )
         except ValueError as error:

@@ -20,6 +20,7 @@ from kinetix_dist.evaluation.summary import worst_share
 from kinetix_dist.study.learnability import Refresh, read_refreshes
 from kinetix_dist.study.plan import Plan
 from kinetix_dist.study.records import Point, Record, is_complete, read_progress, read_records
+from kinetix_dist.study.study_file import LEARNABILITY
 from kinetix_dist.sweep.arms import Run
 
 OVER_SEEDS, OVER_LEVELS, NO_INTERVAL = "seeds", "base levels", "nothing"  # samples of an interval
@@ -95,7 +96,7 @@ def summarise(path: Path, plan: Plan) -> Summary:
         results=tuple(results),
         unfinished=tuple(Unfinished(run=run, env_steps=read_progress(path, run).env_steps) for run in left),
         gaps=tuple(gaps),
-        refreshes=read_refreshes(path, plan) if study.figure.kind == "learnability" else (),
+        refreshes=read_refreshes(path, plan) if study.figure.kind == LEARNABILITY else (),
     )
 
 
@@ -120,9 +121,9 @@ def _result(plan: Plan, records: Sequence[Record], reference: Sequence[Record]) 
         level_set=records[0].level_set,
         num_seeds=len(records),
         last=estimate_at(ends, records[0].base_levels),
-        last_iqm=_over_seeds([point.rate for point in ends], iqm),
+        last_iqm=over_seeds([point.rate for point in ends], iqm),
         worst_tenth=float(np.mean([worst_share(point.solved, point.attempts) for point in ends])),
-        over_training=_over_seeds([float(np.mean(over_training(record))) for record in records], mean),
+        over_training=over_seeds([float(np.mean(over_training(record))) for record in records], mean),
         difference=_difference(records, reference, at_the_end),
         difference_over_training=_difference(records, reference, while_both_train),
     )
@@ -131,7 +132,7 @@ def _result(plan: Plan, records: Sequence[Record], reference: Sequence[Record]) 
 def estimate_at(points: Sequence[Point], base_levels: Sequence[str]) -> Estimate:
     """Mean rate of evaluations of the same levels, one a seed; with one seed its interval is over base levels."""
     if len(points) > 1:
-        return _over_seeds([point.rate for point in points], mean)
+        return over_seeds([point.rate for point in points], mean)
     (only,) = points
     found = interval_over_levels(only.solved, only.attempts, base_levels)
     if found is None:
@@ -139,7 +140,8 @@ def estimate_at(points: Sequence[Point], base_levels: Sequence[str]) -> Estimate
     return Estimate(value=only.rate, low=found["low"], high=found["high"], over=OVER_LEVELS)
 
 
-def _over_seeds(values: Sequence[float], statistic: Callable[[np.ndarray], np.ndarray]) -> Estimate:
+def over_seeds(values: Sequence[float], statistic: Callable[[np.ndarray], np.ndarray]) -> Estimate:
+    """A statistic of one value a seed."""
     value, interval = float(statistic(np.asarray(values, float))), bootstrap_interval(values, statistic)
     if interval is None:
         return Estimate(value=value, low=None, high=None, over=NO_INTERVAL)

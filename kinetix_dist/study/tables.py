@@ -1,5 +1,5 @@
-"""Results of a study as CSV: a row per arm, seed, set and point; and, where it is about levels or
-learnability, a row per level or refresh."""
+"""Results of a study as CSV: a row per arm, seed, set and point; of one about levels or learnability, a row per level
+or refresh; of one about forgetting, rates after each phase and the numbers that follow from them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from kinetix_dist.evaluation.summary import worst_share
+from kinetix_dist.study.forgetting import MEASURES, Trained, measures
 from kinetix_dist.study.learnability import KINDS, Refresh
 from kinetix_dist.study.records import Record
 
@@ -74,6 +75,39 @@ def learnability_csv(refreshes: Iterable[Refresh]) -> str:
                 _digits(refresh.learnable_share),
             )
             for refresh in refreshes
+        ),
+    )
+
+
+def forgetting_csv(runs: Sequence[Trained]) -> str:
+    """Text of NAME_forgetting.csv: a row per arm, seed, phase and set; phase 0 is before training."""
+    return text_of(
+        ("arm", "seed", "after_phase", "trained_for", "set", "solved", "attempts"),
+        (
+            (
+                each.run.arm.name,
+                each.run.seed,
+                number,
+                each.tasks[number - 1] if each.tasks and number else "",
+                name,
+                sum(point.solved),
+                point.attempts * len(point.solved),
+            )
+            for each in runs
+            for number, row in enumerate(each.points)
+            for name, point in row.items()
+        ),
+    )
+
+
+def transfer_csv(runs: Sequence[Trained], tasks: Sequence[str]) -> str:
+    """Text of NAME_transfer.csv: a row per arm and seed; empty where an arm has no phases."""
+    found = [(each, measures(each, tasks)) for each in runs]
+    return text_of(
+        ("arm", "seed", *(name.replace(" ", "_") for name in MEASURES)),
+        (
+            (each.run.arm.name, each.run.seed, *(_digits(measured.get(name)) for name in MEASURES))
+            for each, measured in found
         ),
     )
 

@@ -185,6 +185,19 @@ _ALL = (
     Metric("learner/explained_variance", "share", "of the variance of returns that the value function explains"),
     Metric("learner/skipped_steps", "gradient steps", "skipped in this update because a gradient was not finite"),
     Metric("learner/skipped_updates", "updates", "skipped as a whole, since the start of this session"),
+    # Learner, where plasticity.every says so
+    Metric(
+        "learner/dormant_share",
+        "share",
+        "of hidden units that are dormant: mean activity at most 0.025 of the mean of their layer",
+    ),
+    Metric(
+        "learner/actor_feature_rank",
+        "number",
+        "of the largest singular values that are 99 % of the sum, of the features before the actor's output",
+    ),
+    Metric("learner/critic_feature_rank", "number", "the same of the features before the critic's output"),
+    Metric("learner/weight_norm", "1", "L2 norm of all parameters"),
     # Runtime
     Metric(
         "runtime/policy_lag", "updates", "versions between the policy that acted and the policy that was updated, mean"

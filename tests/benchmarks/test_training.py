@@ -175,10 +175,10 @@ def test_the_run_of_a_curator_is_of_the_size_and_has_its_refreshes() -> None:
     config = curator_refresh.config_of(recipe("tiny"), "m", refreshes=2)
     assert (config.env.size, config.run.placement) == ("m", "local")
     updates = config.run.total_env_steps // config.rollout.steps_per_update
-    due = [number for number in range(updates) if config.curriculum.is_refresh_due(number)]
+    due = [number for number in range(updates) if config.refresh_times.is_due(number)]
     assert due == [0, 4, 8, 12, 16, 20, 24]  # two with a probe, but for the first, and those between them
     without = dataclasses.replace(recipe("tiny"), curriculum_log=CurriculumLogConfig(probe_levels=0))
     config = curator_refresh.config_of(without, "m", refreshes=2)
     updates = config.run.total_env_steps // config.rollout.steps_per_update
-    assert [number for number in range(updates) if config.curriculum.is_refresh_due(number)] == [0, 4, 8]
+    assert [number for number in range(updates) if config.refresh_times.is_due(number)] == [0, 4, 8]
     assert to_dict(config)["curriculum"]["num_candidates"] == recipe("tiny").curriculum.num_candidates

@@ -11,10 +11,11 @@ from kinetix_dist.benchmarks.training_options import with_fields
 from kinetix_dist.checkpoint import save_checkpoint
 from kinetix_dist.cli.main import main
 from kinetix_dist.config import ConfigError, flat, from_dict, from_dict_for_playing, has_same_numbers, to_dict
-from kinetix_dist.config.phases import CHANGES, read_phases
+from kinetix_dist.config.phases import read_phases
 from kinetix_dist.recipes import RECIPES, recipe
 from kinetix_dist.renamed_settings import (
     MOVED_VALUES,
+    PHASE_NAMES,
     REMOVED,
     REMOVED_VALUES,
     RENAMED,
@@ -32,7 +33,8 @@ from kinetix_dist.sweep.design import ArmOptions, Design, DesignError, Objective
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import QuietReporter
 
-PATHS = {"ppo.clip_range": "ppo.clip", "annealing": "ppo.anneal", "phases.clip_range": "phases.clip"}
+HASH_OF_PHASES, HASH_OF_PRETRAIN_ALL = "d7dbf060d5271524", "8ae412040a9e1d96"  # as of 59c92ad
+PATHS = {"ppo.clip_range": "ppo.clip", "annealing": "ppo.anneal"}
 
 
 @pytest.fixture
@@ -53,16 +55,17 @@ def _old(config, **env):
     data["ppo"]["clip_range"] = data["ppo"].pop("clip")
     data["annealing"] = data["ppo"].pop("anneal")
     data["env"] |= env
-    data["phases"] = [{"start": 1024, "clip_range": 0.1}]
+    data["phases"] = [{"start": 1024, "options": {"ppo.clip_range": 0.1}}]
     return data
 
 
 def _todays():
-    return from_dict(to_dict(recipe("tiny")) | {"phases": [{"start": 1024, "clip": 0.1}]})
+    return from_dict(to_dict(recipe("tiny")) | {"phases": [{"start": 1024, "options": {"ppo.clip": 0.1}}]})
 
 
 def test_every_new_name_exists_and_no_old_one_does():
-    known = flat(to_dict(recipe("tiny"))) | {f"phases.{name}": None for name in CHANGES}
+    known = flat(to_dict(recipe("tiny")))
+    assert set(PHASE_NAMES.values()) <= known.keys()
     sections = {".".join(name.split(".")[:length]) for name in known for length in range(1, 4)}
     assert set(RENAMED.values()) <= sections
     assert not {*RENAMED, *REMOVED} & sections
@@ -77,6 +80,21 @@ def test_a_stored_config_is_translated(tables):
 def test_a_stored_config_of_today_stays_as_it_is():
     for name in RECIPES:
         assert translated(to_dict(recipe(name))) == to_dict(recipe(name))
+
+
+def test_phases_of_before_they_had_options_are_read_and_keep_their_hash():
+    data = to_dict(recipe("tiny"))
+    data["phases"] = [
+        {"start": 100, **dict.fromkeys(PHASE_NAMES), "clip": 0.1, "epochs": 1},
+        {"start": 384, **dict.fromkeys(PHASE_NAMES), "num_envs": 32, "sizes": [["s", 1.0]]},
+    ]
+    config = from_dict(data)
+    assert [phase.options for phase in config.phases] == [
+        {"ppo.epochs": 1, "ppo.clip": 0.1},
+        {"rollout.num_envs": 32, "curriculum.sizes": [["s", 1.0]]},
+    ]
+    assert config.hash == HASH_OF_PHASES and from_dict(to_dict(config)) == config
+    assert recipe("pretrain_all").hash == HASH_OF_PRETRAIN_ALL
 
 
 def test_a_removed_setting_that_was_in_use_is_refused_for_training_and_left_out_for_playing(tables):
@@ -111,7 +129,8 @@ def test_a_run_of_before_a_rename_is_resumed(tables, tmp_path):
         ("--ppo.clip_range 0.1", "ppo.clip_range is now called ppo.clip; use that"),
         ("--ppo.clip-range=0.1", "ppo.clip_range is now called ppo.clip; use that"),
         ("--annealing.end 5", "annealing.end is now called ppo.anneal.end; use that"),
-        ("--phases.0.clip_range 0.1", "phases.clip_range is now called phases.clip; use that"),
+        ("--phases.0.options.ppo.clip_range 0.1", "ppo.clip_range is now called ppo.clip; use that"),
+        ("--phases.0.num_envs 32", "phases.num_envs is now called phases.options.rollout.num_envs; use that"),
         ("--run.device cuda", "run.device 'cuda' is now called 'gpu'; use that"),
         ("--env.haste 3", "env.haste is gone: it gained nothing; leave it out"),
         ("--curriculum.name luck", "curriculum.name 'luck' is gone: plain SFL is as good; use 'sfl'"),
@@ -125,8 +144,8 @@ def test_old_options_are_refused_by_a_line_with_the_new_name(tables, capsys, opt
 
 def test_old_names_in_files_of_a_person_are_refused(tables, tmp_path):
     phases = tmp_path / "phases.toml"
-    phases.write_text("[[phases]]\nstart = 5\nclip_range = 0.1\n")
-    with pytest.raises(ValueError, match=r"phase 1: phases.clip_range is now called phases.clip"):
+    phases.write_text("[[phases]]\nstart = 5\noptions = {'ppo.clip_range' = 0.1}\n")
+    with pytest.raises(ValueError, match=r"phase 1: ppo.clip_range is now called ppo.clip"):
         read_phases(phases)
     design = Design(
         name="x",

@@ -87,9 +87,3 @@ def test_a_share_that_is_no_whole_number_of_worlds_is_refused():
 def test_a_curriculum_that_cannot_run_is_refused_with_its_numbers(fields, message):
     with pytest.raises(ValueError, match=message):
         curriculum_class(CurriculumConfig(**fields), PER_GROUP)
-
-
-def test_the_first_buffer_is_used_at_once_and_later_ones_at_a_fixed_distance():
-    config = CurriculumConfig(refresh_every=10, adopt_after=3)
-    assert [k for k in range(25) if config.is_refresh_due(k)] == [0, 10, 20]
-    assert [config.adopted_at(k) for k in (0, 10, 20)] == [0, 13, 23]

@@ -20,6 +20,7 @@ from kinetix_dist.level.level import Role
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.recipes import recipe
 from kinetix_dist.registry import Registry
+from kinetix_dist.renamed_settings import PHASE_NAMES
 from tests.env.worlds import BOX, DISC_1, DISC_2, HALF_BOX_M, RADIUS_M, batch, small_level
 
 # Worlds of the steps by hand: it goes on, solved, failed, timed out.
@@ -187,20 +188,25 @@ def config(phases: tuple[PhaseConfig, ...] = (), **env) -> TrainConfig:
     return dataclasses.replace(tiny, env=dataclasses.replace(tiny.env, **env), ppo=ppo, phases=phases)
 
 
+def phase(start: int, **options: object) -> PhaseConfig:
+    return PhaseConfig(start=start, options=options)
+
+
 def before_rewards(config: TrainConfig, scale: float, *phase_scales: float) -> dict:
     """The configuration as a version before rewards had names stored it."""
     data = to_dict(config)
     for name in ("reward", "shaping_discount"):
         del data["env"][name]
     data["env"]["dense_reward_scale"] = scale
+    old_names = [name for name in PHASE_NAMES if name != "reward"]
     for phase, phase_scale in zip(data["phases"], phase_scales, strict=True):
-        del phase["reward"]
-        phase["dense_reward_scale"] = phase_scale
+        del phase["options"]
+        phase |= {**dict.fromkeys(old_names), "dense_reward_scale": phase_scale}
     return data
 
 
 def test_runs_from_before_rewards_had_names_go_on() -> None:
-    phases = (PhaseConfig(start=256, dense_reward_scale=0.5), PhaseConfig(start=512, reward="sparse"))
+    phases = (phase(256, **{"env.dense_reward_scale": 0.5}), phase(512, **{"env.reward": "sparse"}))
     for ours, theirs in (
         (config(), before_rewards(config(), 0.1)),
         (config(reward="sparse"), before_rewards(config(), 0.0)),
@@ -212,6 +218,10 @@ def test_runs_from_before_rewards_had_names_go_on() -> None:
         numbers = numbers_of(ours)
         assert numbers["env"] == theirs["env"]
         assert numbers["phases"] == theirs["phases"]
+    (stored,) = from_dict(
+        to_dict(config()) | {"phases": [{"start": 256, "options": {"env.dense_reward_scale": 0.0}}]}
+    ).phases
+    assert stored == phase(256, **{"env.reward": "sparse"})
 
 
 def test_hashes_of_rewards_differ_and_differences_name_them() -> None:
@@ -220,7 +230,7 @@ def test_hashes_of_rewards_differ_and_differences_name_them() -> None:
     assert differences(named["sparse"], named["dense"]) == ["env.reward 'sparse' instead of 'dense'"]
     assert differences(named["shaped"], named["sparse"]) == ["env.reward 'shaped' instead of 'sparse'"]
     # A scale that only a later phase uses is part of it.
-    phases = (PhaseConfig(start=256, reward="dense"),)
+    phases = (phase(256, **{"env.reward": "dense"}),)
     scales = {config(phases, reward="sparse", dense_reward_scale=scale).hash for scale in (0.1, 0.2, 0.3)}
     assert len(scales) == 3
 
@@ -232,20 +242,25 @@ def test_a_shaped_reward_has_the_discount_of_the_learner_and_its_ends() -> None:
     with pytest.raises(ConfigError, match=r"ppo.bootstrap_timeouts does not; set that to False"):
         dataclasses.replace(recipe("tiny"), env=config(reward="shaped").env)
     with pytest.raises(ValueError, match=r"phase 1: env.reward 'shaped' discounts by env.shaping_discount 0.9"):
-        config((PhaseConfig(start=256, reward="shaped"),), shaping_discount=0.9)
+        config((phase(256, **{"env.reward": "shaped"}),), shaping_discount=0.9)
 
 
 def test_a_phase_changes_the_reward_and_sets_nothing_that_it_does_not_use(tmp_path) -> None:
-    phases = (PhaseConfig(start=256, reward="sparse"), PhaseConfig(start=512, reward="shaped", dense_reward_scale=0.5))
+    sparse, scaled = phase(256, **{"env.reward": "sparse"}), {"env.dense_reward_scale": 0.5}
+    phases = sparse, phase(512, **{"env.reward": "shaped"}, **scaled)
     schedule = config(phases).schedule
     assert [schedule.at(update).config.env.reward for update in (0, 2, 4)] == ["dense", "sparse", "shaped"]
-    with pytest.raises(ConfigError, match=r"phase 2 sets dense_reward_scale, which env.reward 'sparse' does not use"):
-        config((phases[0], PhaseConfig(start=512, dense_reward_scale=0.5)))
+    unused = r"phase 2: env.dense_reward_scale is not used by env.reward 'sparse'; leave it out, or set env.reward, too"
+    with pytest.raises(ValueError, match=unused):
+        config((sparse, phase(512, **scaled)))
+    stored = [{"start": 256, "reward": "sparse"}, {"start": 512, "dense_reward_scale": 0.5}]  # names until 0.2
+    with pytest.raises(ValueError, match=unused):
+        from_dict(to_dict(config()) | {"phases": stored})
     with pytest.raises(ValueError, match=r"phase 1: EnvConfig.reward is 'dence'; choose one of dense, sparse, shaped"):
-        config((PhaseConfig(start=256, reward="dence"),))
+        config((phase(256, **{"env.reward": "dence"}),))
     file = tmp_path / "phases.toml"
-    file.write_text("[[phases]]\nstart = 256\ndense_reward_scale = 0.0\n")
-    with pytest.raises(ValueError, match=r"dense_reward_scale 0.0 is now called phases.reward 'sparse'; use that"):
+    file.write_text("[[phases]]\nstart = 256\noptions = {'env.dense_reward_scale' = 0.0}\n")
+    with pytest.raises(ValueError, match=r"env.dense_reward_scale 0.0 is now called env.reward 'sparse'; use that"):
         read_phases(file)
 
 

@@ -132,7 +132,7 @@ def test_what_specialists_do_not_have_is_one_line(
 ) -> None:
     (tmp_path / "a_run").mkdir()
     (tmp_path / "a_run" / "config.json").write_text("{}")
-    (tmp_path / "phases.toml").write_text("[[phases]]\nstart = 1000000\nclip = 0.1\n")
+    (tmp_path / "phases.toml").write_text("[[phases]]\nstart = 1000000\noptions = {'ppo.clip' = 0.1}\n")
     assert message in _refusal(capsys, "--levels", str(levels), "--each", *OPTIONS, *options)
 
 

@@ -62,6 +62,10 @@ def _assert_same(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) 
             np.testing.assert_allclose(
                 found[f"{name}_{number}"], expected[f"{name}_{number}"], rtol=1e-3, atol=1e-5, err_msg=name
             )
+    for name in ("dormant_share", "actor_feature_rank", "critic_feature_rank"):  # counts, of the same samples
+        assert found[name] == expected[name], name
+    assert found["actor_feature_rank"] > 1
+    np.testing.assert_allclose(found["weight_norm"], expected["weight_norm"], rtol=1e-6)  # the order of a sum
     assert found["skipped_steps_0"] == 0
     assert found["skipped_steps_1"] == PPO.epochs  # every rank skipped the minibatches with the broken sample
     assert np.all(np.isfinite(found["params_1"]))

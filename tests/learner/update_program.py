@@ -4,7 +4,8 @@
     python tests/learner/update_program.py OUT.npz recurrent       # a policy with a memory, minibatches of whole worlds
     EXPORTED_UPDATE=1 python ...                                   # by the program that a compile cache would keep
 
-The second update contains a sample that is not a number. Saved: all parameters and metrics after each update.
+The second update contains a sample that is not a number. Saved: all parameters and metrics after each update, and the
+measures of plasticity before them.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_ob
 from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
+from kinetix_dist.learner.plasticity import make_measure
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate, spread_worlds
 from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.learner.update import Update, exported_update, make_update
@@ -87,6 +89,13 @@ def main() -> None:
     make = exported_update if os.environ.get("EXPORTED_UPDATE") else make_update
     update, state, arguments = make_problem(mesh, config, policy_config, make=make)
     saved: dict[str, np.ndarray] = {"devices": np.asarray(mesh.devices.size)}
+    policy, division = (
+        make_policy(policy_config, ACTIONS.head_sizes),
+        Division(config.virtual_shards, mesh.devices.size),
+    )
+    measure = make_measure(policy, OBSERVATIONS["entity"], mesh, division=division)
+    static, trajectory, _ = place(arguments, mesh, config)
+    saved |= local_values(measure(state.params, static, trajectory))
     for number, batch in enumerate((arguments, poisoned(arguments))):
         state, metrics = update(state, *place(batch, mesh, config))
         saved[f"params_{number}"] = ravel_pytree(local_values(state.params))[0]

@@ -38,7 +38,7 @@ def files_outside_of_closures() -> dict[str, list[str]]:
         config = tiny_config(num_updates=2)
         worker = Worker(config, data_mesh(jax.devices()[:1]))
         learner = worker._learner
-        _, batch = worker._playing.rollout(config).traced(learner.shapes.params, worker._state.shapes)
+        _, batch = worker._playing.rollout(config).traced(learner.shapes.params, worker._state_of(0).shapes)
         learner._update.trace(learner.shapes, *batch)
     return outside
 

@@ -53,10 +53,11 @@ def config(curriculum: str) -> TrainConfig:
 def play_and_learn(curriculum: str, num_devices: int) -> dict[str, np.ndarray]:
     worker = Worker(config(curriculum), data_mesh(jax.devices()[:num_devices]))
     worker.start(None)
-    if worker._curriculum.refreshes:
-        worker.adopt(worker._curriculum.refresh_part(worker._learner.params, 0, jax.random.key(0), 0, 1))
+    kind = worker._state_of(0).curriculum
+    if kind.refreshes:
+        worker.adopt(kind.refresh_part(worker._learner.params, 0, jax.random.key(0), 0, 1))
     rollout = worker._playing.rollout(worker._config)
-    batch, (proposal, _), sums, _ = rollout.play(worker._learner.params, worker._state.on_devices, 0)
+    batch, (proposal, _), sums, _ = rollout.play(worker._learner.params, worker._state_of(0).on_devices, 0)
 
     def once(x: jax.Array, axis: int = 0) -> np.ndarray:
         return np.take(np.asarray(x), rollout.division.gathered(x.shape[axis]), axis=axis)

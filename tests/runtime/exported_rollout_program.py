@@ -34,7 +34,7 @@ def play(*, is_exported: bool = True) -> dict[str, Any]:
     with mock.patch.object(RolloutCore, "_play_shard", autospec=True, side_effect=RolloutCore._play_shard) as traced:
         traced_here = RolloutCore(config, players, worker._mesh, groups=groups)
         core = playing.rollout(config) if is_exported else traced_here
-        results = core.play(worker._learner.params, worker._state.on_devices, 0)
+        results = core.play(worker._learner.params, worker._state_of(0).on_devices, 0)
     content = hashlib.sha256()
     for path, leaf in jax.tree_util.tree_leaves_with_path(results):
         content.update(f"{jax.tree_util.keystr(path)} {leaf.dtype} {leaf.shape}".encode())

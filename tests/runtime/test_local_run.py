@@ -156,7 +156,7 @@ def test_a_run_that_is_stopped_scores_no_levels_where_that_would_compile_or_be_i
     if why == "of a probe":
         config = dataclasses.replace(config, curriculum_log=CurriculumLogConfig(probe_levels=4))
     elif why == "programs of a new phase":
-        phase = PhaseConfig(start=5 * config.rollout.steps_per_update, dense_reward_scale=0.5)
+        phase = PhaseConfig(start=5 * config.rollout.steps_per_update, options={"env.dense_reward_scale": 0.5})
         config = dataclasses.replace(config, phases=(phase,))
     assert _stopped_after_five(config, tmp_path / "run") == []
 

@@ -20,6 +20,7 @@ from kinetix_dist.config import differences, from_dict, to_dict
 from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.finetune.specialists import Specialists
+from kinetix_dist.learner.plasticity import PlasticityConfig
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.runtime.cores.playing import Playing
 from kinetix_dist.runtime.cores.run_names import WORLDS
@@ -32,6 +33,7 @@ from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, ru
 from tests.runtime.train_process import events
 
 RESET_EVERY, NUM_STEPS, NUM_WORLDS = 3, 8, 16
+MORE_WORLDS = PhaseConfig(start=130, options={"rollout.num_envs": 32})
 
 
 def with_resets(config, *, reset_every=RESET_EVERY, max_steps=20, recurrent="none", **rollout):
@@ -187,7 +189,7 @@ def test_a_run_says_which_steps_of_an_episode_it_never_plays():
 
 def test_a_phase_begins_with_a_reset():
     config = with_resets(tiny_config(num_updates=9))
-    schedule = dataclasses.replace(config, phases=(PhaseConfig(start=130, num_envs=32),)).schedule
+    schedule = dataclasses.replace(config, phases=(MORE_WORLDS,)).schedule
     assert [schedule.at(update).number for update in range(7)] == [0, 0, 0, 1, 1, 1, 1]
     assert [schedule.env_steps(number) for number in (3, 4)] == [3 * 128, 3 * 128 + 256]
 
@@ -199,7 +201,10 @@ def train(config, path, *, resume=False):
     """Rows of metrics of one session."""
     backend, reporter = LocalBackend(), QuietReporter()
     trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
-    curator = CuratorClient(config, backend, [ProcessPlan(role="curator", index=0)]) if config.has_curator else None
+    curator = None
+    if config.has_curator:
+        curators = [ProcessPlan(role="curator", index=0)]
+        curator = CuratorClient(config, backend, curators) if config.run.num_curators else WorkerCurator(trainer)
     run_updates(config, path, trainer, curator, reporter=reporter, resume=resume)
     return reporter.rows
 
@@ -262,13 +267,40 @@ def test_a_run_that_is_resumed_has_the_bits_of_one_that_was_not(eight_updates, t
 @pytest.mark.long
 def test_a_phase_with_other_worlds_begins_with_them(tmp_path):
     config = with_resets(tiny_config(num_updates=1, **RUN, total_env_steps=3 * 128 + 2 * 256))
-    config = dataclasses.replace(config, phases=(PhaseConfig(start=130, num_envs=32),))
+    config = dataclasses.replace(config, phases=(MORE_WORLDS,))
     rows = train(config, tmp_path / "run")
     assert [row["progress/env_steps"] for row in rows] == [128, 256, 384, 640, 896]
     assert final_arrays(tmp_path / "run")[f"{WORLDS}/source"].shape == (32,)
     shutil.rmtree(list_checkpoints(tmp_path / "run" / "checkpoints")[-1])
     (resumed,) = train(config, tmp_path / "run", resume=True)
     np.testing.assert_equal(_compared(resumed), _compared(rows[-1]))
+
+
+@pytest.mark.long
+def test_a_phase_of_another_size_and_curriculum_goes_on_where_it_was_cut(tmp_path):
+    """S with sfl, then M with random levels and another reward, resets before updates 0, 3 and 6; with a memory, and
+    measures of plasticity, which take it."""
+    options = {"env.size": "m", "curriculum.name": "domain_randomization", "env.reward": "sparse"}
+    config = with_resets(tiny_config(num_updates=8, num_curators=0, **RUN), recurrent="gru")
+    config = dataclasses.replace(
+        config, phases=(PhaseConfig(start=130, options=options),), plasticity=PlasticityConfig(every=1)
+    )
+    rows = train(config, tmp_path / "run")
+    assert [row["progress/phase"] for row in rows] == [0, 0, 0, 1, 1, 1, 1, 1]
+    assert [row["train/attempts"] for row in rows] == [0, 0, 16, 0, 0, 16, 0, 0]
+    assert all(row["learner/dormant_share"] < 1 for row in rows)
+    lines = [json.loads(line) for line in (tmp_path / "run" / "curriculum" / "outcomes.jsonl").read_text().splitlines()]
+    assert [(line["from_update"], line["update"]) for line in lines] == [(0, 3), (3, 8)]
+    assert [list(line["sources"]) for line in lines] == [["fresh"], ["fresh"]]
+    assert ["buffer" in line for line in lines] == [True, False]
+    final = final_arrays(tmp_path / "run")
+    for saved in list_checkpoints(tmp_path / "run" / "checkpoints"):
+        if int(saved.name) > 4:
+            shutil.rmtree(saved)
+    resumed = train(config, tmp_path / "run", resume=True)
+    for ours, theirs in zip(resumed, rows[4:], strict=True):
+        np.testing.assert_equal(_compared(ours), _compared(theirs))
+    assert_same_bits(final_arrays(tmp_path / "run"), final)
 
 
 @pytest.mark.long

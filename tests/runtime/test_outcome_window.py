@@ -13,9 +13,9 @@ def _attempts(attempts, solved=None):
 
 
 def test_a_window_ends_after_every_n_updates_of_the_run():
-    window = OutcomeWindow(SOURCES, every=2)
-    assert window.add(1, _attempts([1, 2, 3], [1, 0, 2]), 0) == []
-    (line,) = window.add(2, _attempts([1, 1, 1]), 0)
+    window = OutcomeWindow(every=2)
+    assert window.add(1, _attempts([1, 2, 3], [1, 0, 2]), 0, SOURCES) == []
+    (line,) = window.add(2, _attempts([1, 1, 1]), 0, SOURCES)
     assert line == {
         "format": 2,
         "update": 2,
@@ -25,7 +25,7 @@ def test_a_window_ends_after_every_n_updates_of_the_run():
         "solved": [0, 2],
         "sources": {"fresh": {"attempts": 2, "solved": 1}},
     }
-    assert window.add(3, _attempts([5, 0, 0]), 0) == []
+    assert window.add(3, _attempts([5, 0, 0]), 0, SOURCES) == []
     assert window.end(3)[0] | {"from_update": 2, "attempts": [0, 0]} == window_line(2, 3, 5)
     assert window.end(3) == []
 
@@ -43,19 +43,28 @@ def window_line(from_update, update, fresh):
 
 
 def test_a_window_ends_before_a_batch_of_another_buffer():
-    window = OutcomeWindow(SOURCES, every=10)
-    window.add(1, _attempts([1, 1]), 0)
-    (line,) = window.add(2, _attempts([1, 7]), 3)
+    window = OutcomeWindow(every=10)
+    window.add(1, _attempts([1, 1]), 0, SOURCES)
+    (line,) = window.add(2, _attempts([1, 7]), 3, SOURCES)
     assert (line["update"], line["buffer"], line["attempts"]) == (1, 0, [1])
     (line,) = window.end(4)
     assert (line["from_update"], line["update"], line["buffer"], line["attempts"]) == (1, 4, 3, [7])
 
 
 def test_a_curriculum_without_a_buffer_has_sources_alone():
-    window = OutcomeWindow(("fresh", "replayed"), every=1)
-    (line,) = window.add(1, _attempts([3, 4]), None)
+    window = OutcomeWindow(every=1)
+    (line,) = window.add(1, _attempts([3, 4]), None, ("fresh", "replayed"))
     assert "attempts" not in line and "buffer" not in line
     assert line["sources"] == {"fresh": {"attempts": 3, "solved": 0}, "replayed": {"attempts": 4, "solved": 0}}
+
+
+def test_a_window_ends_before_a_batch_of_another_curriculum():
+    window = OutcomeWindow(every=10)
+    window.add(1, _attempts([5]), None, SOURCES)
+    (line,) = window.add(2, _attempts([2, 3]), None, ())  # of a set of two levels
+    assert line["sources"] == {"fresh": {"attempts": 5, "solved": 0}} and line["update"] == 1
+    (line,) = window.add(3, _attempts([2, 3, 4]), None, ())  # of three
+    assert (line["from_update"], line["update"], line["attempts"]) == (1, 2, [2, 3])
 
 
 @pytest.mark.parametrize("cut", range(1, 12))
@@ -64,14 +73,14 @@ def test_a_window_that_goes_on_from_a_checkpoint_gives_the_same_lines(cut):
     attempts = [_attempts(rng.integers(0, 9, 4).tolist(), rng.integers(0, 9, 4).tolist()) for _ in range(12)]
 
     def lines(window, start, stop):
-        return [line for u in range(start, stop) for line in window.add(u + 1, attempts[u], u // 5)]
+        return [line for u in range(start, stop) for line in window.add(u + 1, attempts[u], u // 5, SOURCES)]
 
-    unbroken = OutcomeWindow(SOURCES, every=4)
+    unbroken = OutcomeWindow(every=4)
     expected = lines(unbroken, 0, 12) + unbroken.end(12)
-    first = OutcomeWindow(SOURCES, every=4)
+    first = OutcomeWindow(every=4)
     before = lines(first, 0, cut)
-    second = OutcomeWindow(SOURCES, every=4)
-    second.start(first.description(), first.in_flight(), num_updates=cut)
+    second = OutcomeWindow(every=4)
+    second.start(first.description(), first.in_flight(), num_updates=cut, sources=SOURCES)
     assert before + lines(second, cut, 12) + second.end(12) == expected
     assert sum(sum(line["attempts"]) + line["sources"]["fresh"]["attempts"] for line in expected) == sum(
         int(one["attempts"].sum()) for one in attempts
@@ -79,9 +88,9 @@ def test_a_window_that_goes_on_from_a_checkpoint_gives_the_same_lines(cut):
 
 
 def test_a_stored_window_without_attempts_is_dropped():
-    window = OutcomeWindow(SOURCES, every=4)
+    window = OutcomeWindow(every=4)
     old = {"outcomes/finished": np.array([9, 5, 0], np.int64), "outcomes/solved": np.array([8, 2, 0], np.int64)}
-    window.start({"outcomes_from": 4, "outcomes_buffer": 0}, old, num_updates=6)
-    assert not window.add(7, _attempts([1, 1, 2]), 0)
-    (line,) = window.add(8, _attempts([1, 0, 3]), 0)
+    window.start({"outcomes_from": 4, "outcomes_buffer": 0}, old, num_updates=6, sources=SOURCES)
+    assert not window.add(7, _attempts([1, 1, 2]), 0, SOURCES)
+    (line,) = window.add(8, _attempts([1, 0, 3]), 0, SOURCES)
     assert (line["format"], line["from_update"], line["update"], line["attempts"]) == (2, 6, 8, [1, 5])

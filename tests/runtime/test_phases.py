@@ -25,8 +25,20 @@ from tests.runtime.train_process import TINY, events, finish, start, wait_for
 STEPS = 128  # environment steps of an update before the last phase, 256 in it
 # Update 1 is the first with other steps of PPO, update 3 the first with more worlds and another reward.
 PHASES = (
-    PhaseConfig(start=100, learning_rate=3e-3, clip=0.1, entropy_coefficient=0.02, minibatches=4, epochs=1),
-    PhaseConfig(start=3 * STEPS, num_envs=32, reward="sparse", failure_penalty=0.0),
+    PhaseConfig(
+        start=100,
+        options={
+            "ppo.learning_rate": 3e-3,
+            "ppo.clip": 0.1,
+            "ppo.entropy_coefficient": 0.02,
+            "ppo.minibatches": 4,
+            "ppo.epochs": 1,
+        },
+    ),
+    PhaseConfig(
+        start=3 * STEPS,
+        options={"rollout.num_envs": 32, "env.reward": "sparse", "env.failure_penalty": 0.0},
+    ),
 )
 NUM_UPDATES = 5
 
@@ -61,23 +73,37 @@ def test_phases_are_part_of_the_hash_and_of_config_json():
 @pytest.mark.parametrize(
     ("phases", "message"),
     [
-        ([{"start": 0, "clip": 0.1}], "phase 1 starts at 0 environment steps, the run at 0; starts have to rise"),
-        ([{"start": 500, "clip": 0.1}, {"start": 500, "clip": 0.2}], "phase 2 starts at 500 .* phase 1 at 500"),
-        ([{"start": 130, "clip": 0.1}, {"start": 140, "clip": 0.2}], "phase 2 .* within the first update of phase 1"),
-        ([{"start": 500}], "phase 1 changes nothing; set one of num_envs, minibatches"),
-        ([{"start": 500, "num_envs": 18}], "phase 1: RolloutConfig.num_envs 18 is not a multiple of num_groups 4"),
-        ([{"start": 500, "minibatches": 3}], "phase 1: 8 steps of 16 worlds .* cannot be divided into 3 minibatches"),
-        ([{"start": 500, "learning_rate": 0.0}], "phase 1: PpoConfig.learning_rate is 0.0; it must be above 0"),
+        ({0: {"ppo.clip": 0.1}}, "phase 1 starts at 0 environment steps, the run at 0; starts have to rise"),
+        ({500: {"ppo.clip": 0.1}, 400: {"ppo.clip": 0.2}}, "phase 2 starts at 400 .* phase 1 at 500"),
+        ({130: {"ppo.clip": 0.1}, 140: {"ppo.clip": 0.2}}, "phase 2 .* within the first update of phase 1"),
+        ({500: {}}, "phase 1 changes nothing; name settings in its options"),
+        ({500: {"rollout.num_envs": 18}}, "phase 1: RolloutConfig.num_envs 18 is not a multiple of num_groups 4"),
+        ({500: {"ppo.minibatches": 3}}, "phase 1: 8 steps of 16 worlds .* cannot be divided into 3 minibatches"),
+        ({500: {"ppo.learning_rate": 0.0}}, "phase 1: PpoConfig.learning_rate is 0.0; it must be above 0"),
+        ({500: {"curriculum.sizes": [["m", 1.0]]}}, "phase 1: curriculum.sizes has 'm', which does not fit env.size"),
+        ({500: {"curriculum.sizes": [["s", -1.0]]}}, "phase 1: CurriculumConfig.sizes gives 's' the weight -1.0"),
+        ({500: {"ppo.clip": "wide"}}, "phase 1: config field clip is 'wide'; float is needed"),
+        ({500: {"ppo.clipp": 0.1}}, r"phase 1: unknown setting 'ppo.clipp'; did you mean 'ppo.clip'\?"),
         (
-            [{"start": 500, "sizes": (("m", 1.0),)}],
-            "phase 1: curriculum.sizes has 'm', which does not fit env.size",
+            {500: {"ppo": {"clip": 0.1}}},
+            "phase 1: unknown setting 'ppo'; it is a section: name its settings, \"ppo.NAME\"",
         ),
-        ([{"start": 500, "sizes": (("s", -1.0),)}], "phase 1: CurriculumConfig.sizes gives 's' the weight -1.0"),
+        ({500: {"policy.num_layers": 2}}, "phase 1: policy.num_layers cannot change within a run: the parameters have"),
+        ({500: {"env.observation": "flat"}}, "phase 1: env.observation cannot change within a run: the parameters"),
+        (
+            {500: {"ppo.average_updates": 0}},
+            "phase 1: ppo.average_updates cannot change .* the learner's state has its",
+        ),
+        ({500: {"rollout.num_groups": 2}}, "phase 1: rollout.num_groups cannot change .* worlds are divided over"),
+        ({500: {"rollout.reset_every": 2}}, "phase 1: rollout.reset_every cannot change .* resets are counted from"),
+        ({500: {"run.seed": 2}}, "phase 1: run.seed cannot change within a run: it is of the run as a whole; leave"),
+        ({500: {"curriculum.name": "fixed"}}, "phase 1: CurriculumConfig.levels is '' with name 'fixed'"),
+        ({500: {"curriculum.name": "paired"}}, "phase 1: curriculum 'paired' needs the end of an episode in every w"),
     ],
 )
 def test_phases_that_cannot_run_are_refused(phases, message):
     with pytest.raises(ValueError, match=message):
-        _config(phases=tuple(PhaseConfig(**phase) for phase in phases))
+        _config(phases=tuple(PhaseConfig(start=start, options=options) for start, options in phases.items()))
 
 
 # Runs
@@ -152,8 +178,7 @@ def test_a_run_resumed_just_before_or_just_after_a_change_equals_the_unbroken_on
 def test_a_run_in_processes_of_ray_killed_at_a_change_and_resumed_equals_the_local_one(unbroken, tmp_path):
     """SIGKILL for the command once the checkpoint is there with which the last phase begins: while that is compiled."""
     config, path, _, _ = unbroken
-    phases = [{name: value for name, value in phase.items() if value} for phase in to_dict(config)["phases"]]
-    (tmp_path / "phases.json").write_text(json.dumps({"phases": phases}))
+    (tmp_path / "phases.json").write_text(json.dumps({"phases": to_dict(config)["phases"]}))
     run = {"placement": "colocated", "num_workers": 1, "checkpoint_every": 1, "keep_checkpoints": 9}
     run["total_env_steps"] = config.run.total_env_steps
     options = [part for name, value in run.items() for part in (f"--run.{name}", str(value))]

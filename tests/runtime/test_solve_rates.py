@@ -160,8 +160,8 @@ def test_where_all_levels_come_from_one_source_there_is_one_solve_rate(update, s
 
 def test_the_line_of_a_window_has_the_learnability_of_its_levels(update, tmp_path: Path) -> None:
     _, sums, metrics = update
-    window = OutcomeWindow(("fresh",), every=1)
-    (line,) = window.add(1, sums[BY_SOURCE], 0)
+    window = OutcomeWindow(every=1)
+    (line,) = window.add(1, sums[BY_SOURCE], 0, ("fresh",))
     assert sum(line["attempts"]) + line["sources"]["fresh"]["attempts"] == metrics["train/attempts"]
     training = describe_training(training_plays([line])[0])
     assert holds(training["low"], P_OF_BUFFER.mean(), training["high"])

@@ -244,12 +244,13 @@ def test_every_field_can_be_given_on_the_command_line():
 PHASES = """
 [[phases]]
 start = 1000
-clip = 0.1
+options = { "ppo.clip" = 0.1 }
 
 [[phases]]
 start = 5000
-num_envs = 64
-sizes = { s = 0.5, m = 0.5 }
+[phases.options]
+"rollout.num_envs" = 64
+"curriculum.sizes" = { s = 0.5, m = 0.5 }
 """
 MIXED = ["--recipe", "tiny", "--env.size", "m", "--rollout.num_envs", "32", "--curriculum.sizes", "m", "1"]
 
@@ -257,8 +258,12 @@ MIXED = ["--recipe", "tiny", "--env.size", "m", "--rollout.num_envs", "32", "--c
 def test_phases_of_a_file_go_with_fields_of_the_command_line(tmp_path):
     (tmp_path / "phases.toml").write_text(PHASES)
     config = parse([*MIXED, "--phases", str(tmp_path / "phases.toml")]).config
-    sizes = (("s", 0.5), ("m", 0.5))
-    assert config.phases == (PhaseConfig(start=1000, clip=0.1), PhaseConfig(start=5000, num_envs=64, sizes=sizes))
+    last = {"rollout.num_envs": 64, "curriculum.sizes": [["s", 0.5], ["m", 0.5]]}
+    assert config.phases == (
+        PhaseConfig(start=1000, options={"ppo.clip": 0.1}),
+        PhaseConfig(start=5000, options=last),
+    )
+    assert config.schedule.phases[-1].config.curriculum.sizes == (("s", 0.5), ("m", 0.5))
     assert config.curriculum.sizes == (("m", 1.0),)
     as_json = {"phases": to_dict(config)["phases"]}
     (tmp_path / "phases.json").write_text(json.dumps(as_json))
@@ -277,8 +282,27 @@ def test_recipes_that_draw_mechanisms(name, share):
 
 
 def test_a_phase_of_a_recipe_can_be_overridden():
-    config = parse(["--recipe", "pretrain_all", "--phases.0.start", "5", "--phases.0.clip", "0.1"]).config
-    assert config.phases == (dataclasses.replace(recipe("pretrain_all").phases[0], start=5, clip=0.1),)
+    words = (
+        "--phases.0.start 5 --phases.0.options.ppo.clip=0.1 --phases.0.options.curriculum.sizes s 1 l 2 --run.seed 7"
+    )
+    config = parse(["--recipe", "pretrain_all", *words.split()]).config
+    options = {"curriculum.sizes": [["s", 1.0], ["l", 2.0]], "ppo.clip": 0.1}
+    assert config.phases == (PhaseConfig(start=5, options=options),) and config.run.seed == 7
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--phases.1.start 5", "--phases.1.start: there is no phase '1'; phases are 0 to 0, and --phases FILE"),
+        ("--phases.0.start soon", "--phases.0.start is 'soon'; give a number of environment steps"),
+        ("--phases.0.clip 1", "phases.clip is now called phases.options.ppo.clip; use that"),
+        ("--phases.0.size l", "--phases.0.size is no option of a phase; it has --phases.N.start and"),
+        ("--phases.0.options.ppo.clip x", "ppo.clip"),
+        ("--phases.0.options.policy.num_layers 3", "phase 1: policy.num_layers cannot change within a run"),
+    ],
+)
+def test_a_phase_of_a_recipe_that_cannot_be_overridden(capsys, words, message):
+    assert message in _refusal(capsys, "--recipe", "pretrain_all", *words.split())
 
 
 @pytest.mark.parametrize(
@@ -286,12 +310,26 @@ def test_a_phase_of_a_recipe_can_be_overridden():
     [
         (
             "[[phases]]\nstart = 9\nsize = 'l'",
-            "phase 1 sets 'size', which no phase can change; it has start and can set",
+            "phase 1 has 'size'; it has start, and options = {} with settings by full names in quotes",
         ),
-        ("[[phases]]\nclip = 0.1", "phase 1 has no start"),
-        ("[[phases]]\nstart = 1.5\nclip = 0.1", "config field phases.0.start is 1.5; int is needed"),
-        ("[[phases]]\nstart = 900\nnum_envs = 18", "phases.toml: phase 1: RolloutConfig.num_envs 18 is not a multiple"),
-        ("[[phases]]\nstart = 900\nsizes = { xl = 1 }", "CurriculumConfig.sizes has 'xl'; sizes are s, m, l"),
+        ("[[phases]]\noptions = {}", "phase 1 has no start"),
+        ("[[phases]]\nstart = 1.5", "config field phases.0.start is 1.5; int is needed"),
+        (
+            "[[phases]]\nstart = 900\nnum_envs = 18",
+            "phase 1: phases.num_envs is now called phases.options.rollout.num_",
+        ),
+        (
+            "[[phases]]\nstart = 900\noptions = {'rollout.num_envs' = 18}",
+            "phases.toml: phase 1: RolloutConfig.num_envs 18 is not a multiple",
+        ),
+        (
+            "[[phases]]\nstart = 900\n[phases.options]\n'curriculum.sizes' = { xl = 1 }",
+            "CurriculumConfig.sizes has 'xl'; sizes are s, m, l",
+        ),
+        (
+            "[[phases]]\nstart = 900\noptions = {'curriculum.name' = 'fixed', 'curriculum.levels' = 'designed_m'}",
+            "ramp_car.json: level has 6 polygons, walls included; the size has room for 5",
+        ),
         ("[[phases]\n", "phases.toml cannot be read as TOML"),
         ("start = 3", "phases.toml holds no phases; write a table [[phases]] for each"),
     ],
@@ -308,9 +346,11 @@ def test_a_file_of_phases_that_is_no_text(capsys, tmp_path):
 
 
 def test_phases_are_those_of_a_file_or_of_the_command_line(capsys, tmp_path):
-    (tmp_path / "phases.toml").write_text("[[phases]]\nstart = 256\nclip = 0.1\n")
-    line = _refusal(capsys, "--recipe", "tiny", "--phases", tmp_path / "phases.toml", "--phases.0.clip", "0.2")
-    assert "--phases FILE has all phases, and --phases.0.clip is of one" in line
+    (tmp_path / "phases.toml").write_text("[[phases]]\nstart = 256\noptions = {'ppo.clip' = 0.1}\n")
+    line = _refusal(
+        capsys, "--recipe", "tiny", "--phases", tmp_path / "phases.toml", "--phases.0.options.ppo.clip", "0.2"
+    )
+    assert "--phases FILE has all phases, and --phases.0.options.ppo.clip is of one" in line
 
 
 def test_a_file_of_phases_that_is_not_there(capsys):

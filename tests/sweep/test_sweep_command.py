@@ -284,7 +284,7 @@ def test_the_command_of_an_arm_gives_its_configuration(tmp_path, example):
 
 def test_tables_reach_the_command_as_a_file(tmp_path):
     run = runs_of(design(tmp_path, text()))[0]
-    tables = [{"start": 100, "clip": 0.1}]
+    tables = [{"start": 100, "options": {"ppo.clip": 0.1}}]
     run = dataclasses.replace(run, options={"phases": tables})
     words = train_arguments(run, "tiny", tmp_path)
     assert words[2] == "--phases" and json.loads(Path(words[3]).read_text()) == tables

@@ -65,4 +65,4 @@ class CuratorCore:
         """Curriculum of the phase in which the refresh is adopted, so that its first buffer has the levels of that
         phase."""
         config = self._config
-        return self._playing.curriculum(config.schedule.at(config.curriculum.adopted_at(policy_version)).config)
+        return self._playing.curriculum(config.schedule.at(config.refresh_times.adopted_at(policy_version)).config)

@@ -18,6 +18,7 @@ from kinetix_dist import prng
 from kinetix_dist.actors.unroll import score
 from kinetix_dist.checkpoint import select_arrays, unflatten_arrays
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.config.refresh_times import RefreshTimes
 from kinetix_dist.curator.agents import AgentPpo
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
 from kinetix_dist.env.action_spaces import ActionDistribution
@@ -145,16 +146,21 @@ def some_observation(config: TrainConfig, env: Environment) -> Any:
     return env.observe(prepared, prepared.initial_obs)
 
 
-def make_curriculum(config: TrainConfig, env: Environment, policy: Any, mesh: Mesh) -> Curriculum:
-    """The curriculum of a run with what it is built from. mesh: on which what it trains of its own learns.
+def make_curriculum(
+    config: TrainConfig, env: Environment, policy: Any, mesh: Mesh, *, times: RefreshTimes | None = None
+) -> Curriculum:
+    """The curriculum of a run, or of a phase, with what it is built from. mesh: on which what it trains of its own
+    learns; times: of refreshes of the run whose phase this is, None: it is a run.
 
     It holds no state, and is the same for runs of equal settings. One that is given levels reads them each time.
     """
-    arguments = settings_of_programs(config), env, policy, mesh, config.curriculum_class
+    arguments = settings_of_programs(config), env, policy, mesh, config.curriculum_class, times or config.refresh_times
     return _built(*arguments) if config.curriculum.levels else _cached(*arguments)
 
 
-def _built(config: TrainConfig, env: Environment, policy: Any, mesh: Mesh, kind: type[Curriculum]) -> Curriculum:
+def _built(
+    config: TrainConfig, env: Environment, policy: Any, mesh: Mesh, kind: type[Curriculum], times: RefreshTimes
+) -> Curriculum:
     def play(params: Any, levels: Level, key: Array, num_steps: int) -> LevelOutcome:
         return score(policy, params, env, env.prepare(levels), key, num_steps)
 
@@ -171,6 +177,7 @@ def _built(config: TrainConfig, env: Environment, policy: Any, mesh: Mesh, kind:
         load_levels=lambda name: load_level_set(name, config.env.size)[0],
         advantages=advantages,
         agents=PpoAgents(config, env, policy, mesh),
+        is_first_refresh=times.is_first,
     )
     return kind(tools)
 
@@ -189,7 +196,7 @@ class CurriculumState:
 
     def set_curriculum(self, curriculum: Curriculum) -> None:
         """Whose state this is from now on: one with states of the same layout."""
-        self._curriculum = curriculum
+        self.curriculum = curriculum
         self._observe = _observe_program(curriculum, self._mesh)
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
@@ -197,18 +204,18 @@ class CurriculumState:
         stored = select_arrays(arrays or {}, CURRICULUM)
         if stored:
             self._set(self.restored(stored))
-        elif self._curriculum.refreshes:
+        elif self.curriculum.refreshes:
             self._set(None)  # the first refresh comes before the first levels
         else:
-            self._set(jax.device_get(jax.jit(self._curriculum.init)()))  # one program, not hundreds of small ones
+            self._set(jax.device_get(jax.jit(self.curriculum.init)()))  # one program, not hundreds of small ones
 
     def restored(self, arrays: Mapping[str, np.ndarray]) -> Any:
         """A state from arrays of a checkpoint, as numpy."""
-        return unflatten_arrays(jax.eval_shape(self._curriculum.init), arrays)
+        return unflatten_arrays(jax.eval_shape(self.curriculum.init), arrays)
 
     def adopt(self, parts: Sequence[Any]) -> None:
         """parts: of a refresh, in order."""
-        self._set(jax.device_get(self._curriculum.adopt(self.values, self._curriculum.join(parts))))
+        self._set(jax.device_get(self.curriculum.adopt(self.values, self.curriculum.join(parts))))
 
     def observe(
         self, proposal: Proposal, outcome: LevelOutcome, *, env_steps: int, division: Division | None = None
@@ -228,10 +235,10 @@ class CurriculumState:
     @property
     def shapes(self) -> Any:
         """Shapes of `on_devices`, with its shardings; also before the start and a first refresh."""
-        return shapes_of_replicated(jax.eval_shape(self._curriculum.init), self._mesh)
+        return shapes_of_replicated(jax.eval_shape(self.curriculum.init), self._mesh)
 
     def metrics(self, num_updates: int) -> dict[str, float]:
-        metrics = self._curriculum.metrics(self.values, num_updates)
+        metrics = self.curriculum.metrics(self.values, num_updates)
         return {name: float(np.asarray(value)) for name, value in metrics.items()}
 
     def _set(self, values: Any) -> None:

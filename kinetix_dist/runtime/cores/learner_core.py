@@ -18,6 +18,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
+from kinetix_dist.learner.plasticity import Measure, make_measure
 from kinetix_dist.learner.sharding import local_values, replicate, shapes_of_replicated
 from kinetix_dist.learner.state import LearnerState, at_env_steps, clock
 from kinetix_dist.learner.update import exported_update, make_update
@@ -40,6 +41,7 @@ class LearnerCore:
         self.set_ppo(config.ppo)
         self._init = _init_program(settings_of_programs(config), env, policy)
         self.state: LearnerState | None = None
+        self.num_updates = 0  # that led to it
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
         """Starts from a checkpoint's arrays, or afresh from the seed, or afresh with the parameters of another run."""
@@ -55,6 +57,7 @@ class LearnerCore:
                 state = dataclasses.replace(state, params=params, average=average)
             if optimizer := select_arrays(given, OPTIMIZER):  # else all zeros, whatever the parameters
                 state = dataclasses.replace(state, opt_state=unflatten_arrays(state.opt_state, optimizer))
+        self.num_updates = int(state.num_updates)
         self.state = replicate(state, self._mesh)
 
     def set_ppo(self, ppo: PpoConfig) -> None:
@@ -85,7 +88,14 @@ class LearnerCore:
         """Learns from worlds in all slots of the division. env_steps: of the run before this update."""
         state = at_env_steps(self.state, replicate(clock(env_steps), self._mesh))
         self.state, metrics = self._update(state, static, trajectory, last_value)
+        self.num_updates += 1
+        if self._config.plasticity.is_due(self.num_updates):
+            metrics = metrics | self._measure(self.params, static, trajectory)
         return metrics
+
+    @functools.cached_property
+    def _measure(self) -> Measure:
+        return make_measure(self._policy, self._env.observation, self._mesh, division=self.division)
 
     def compile(self, static: Any, trajectory: Any, last_value: Any) -> None:
         """Compiles `learn` for arrays like these, of which shapes and shardings are enough."""

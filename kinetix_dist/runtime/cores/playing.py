@@ -18,6 +18,7 @@ from kinetix_dist.env.device_memory import check_fits
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.observations import OBSERVATIONS
+from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
 from kinetix_dist.models.policy import NETWORKS, make_policy
 from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
@@ -62,17 +63,19 @@ T = TypeVar("T")
 class Playing:
     """Environment, curriculum and rollout of one process. groups, division: see `RolloutCore`.
 
-    Methods take the configuration of a phase, and give the same object until one differs in what the object depends on.
+    Methods take the configuration of a phase. Objects of the last two are kept: in the split placement a learner is in
+    one while the next one begins.
     """
 
     def __init__(
         self, config: TrainConfig, mesh: Mesh, *, groups: range | None = None, division: Division | None = None
     ) -> None:
-        """groups: None: all."""
+        """config: of the run, with its phases. groups: None: all."""
         self._mesh = mesh
+        self._times = config.refresh_times
         self._groups = groups if groups is not None else range(config.rollout.num_groups)
         self._division = division
-        self._made: dict[str, tuple[Any, Any]] = {}  # by name: (what it was made for, the object)
+        self._made: dict[str, list[tuple[Any, Any]]] = {}  # by name: (what it was made for, the object), newest first
         self.policy = make_policy(config.policy, self.environment(config).action_distribution.head_sizes)
 
     def environment(self, config: TrainConfig) -> Environment:
@@ -84,13 +87,13 @@ class Playing:
         return self._cached(
             "curriculum",
             (config.env, config.curriculum, config.rollout, learns_by),
-            lambda: make_curriculum(config, self.environment(config), self.policy, self._mesh),
+            lambda: make_curriculum(config, self.environment(config), self.policy, self._mesh, times=self._times),
         )
 
     def rollout(self, config: TrainConfig) -> RolloutCore:
         return self._cached(
             "rollout",
-            (config.env, config.curriculum, config.rollout),
+            (config.env, config.curriculum, config.rollout, _of_play(config.ppo)),
             lambda: rollout_core(
                 config,
                 Players(self.environment(config), self.policy, self.curriculum(config)),
@@ -101,7 +104,13 @@ class Playing:
         )
 
     def _cached(self, name: str, made_for: Any, make: Callable[[], T]) -> T:
-        found = self._made.get(name)
-        if found is None or found[0] != made_for:
-            found = self._made[name] = made_for, make()
-        return found[1]  # not what another thread may have put there since, for another phase
+        known = self._made.get(name, [])
+        found = next((entry for entry in known if entry[0] == made_for), None) or (made_for, make())
+        others = [entry for entry in known if entry[0] != made_for]
+        self._made[name] = [found, *others[:1]]  # another list: another thread may look at the one before
+        return found[1]
+
+
+def _of_play(ppo: PpoConfig) -> tuple[Any, ...]:
+    """Settings of learning that a rollout depends on: parts of its batch, and advantages that a curriculum sees."""
+    return ppo.mask_unbound_heads, ppo.bootstrap_timeouts, ppo.discount, ppo.trace

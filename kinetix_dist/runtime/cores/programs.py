@@ -18,6 +18,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 
 from kinetix_dist.config import EvaluationConfig, RecordingConfig, RunConfig, TrainConfig
+from kinetix_dist.learner.plasticity import PlasticityConfig
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
 MAX_CACHED = 8  # of each kind, those used last
@@ -29,6 +30,7 @@ def settings_of_programs(config: TrainConfig) -> TrainConfig:
         config,
         curriculum_log=CurriculumLogConfig(),
         evaluation=EvaluationConfig(),
+        plasticity=PlasticityConfig(),
         recording=RecordingConfig(),
         run=RunConfig(seed=config.run.seed, total_env_steps=1),
     )

@@ -118,7 +118,6 @@ class Staging:
         self._config = config
         self._mesh = mesh
         self._division = division
-        self._observes = config.curriculum_class.observes
         self._coming: dict[int, _Coming] = {}
         self._ready: dict[int, tuple[Batch, Any]] = {}
 
@@ -129,18 +128,20 @@ class Staging:
         worlds = self._config.schedule.at(update).config
         own = self._own_rows(worlds)
         slots, rows = _here(own, worlds, part, num_parts)
-        if slots.size or self._observes:
+        if slots.size or worlds.curriculum_class.observes:
             with copies.timed("store_get") as copied:
                 batch, seen = content.fetch()
                 copied += [batch, seen]
             if slots.size:
                 with copies.timed("host_layout") as copied:
                     copied += coming.put(batch, slots, rows, len(own))
-            coming.seen[part] = seen
+            if worlds.curriculum_class.observes:
+                coming.seen[part] = seen
         coming.num_parts += 1
         if coming.num_parts == num_parts:
             with copies.timed("host_to_device") as copied:
-                batch, seen = self._in_order(self._coming.pop(update))
+                coming = self._coming.pop(update)
+                batch, seen = coming.batch, coming.seen_in_order()
                 self._ready[update] = self._placed(batch, seen)
                 copied += [batch, seen]  # of this process alone: what lies on devices says the size of all learners'
         return copies.found
@@ -152,11 +153,6 @@ class Staging:
     def _own_rows(self, config: TrainConfig) -> np.ndarray:
         """Numbers of the worlds in the slots of this process."""
         return own_rows(self._mesh, self._division, config.num_trained_envs)
-
-    def _in_order(self, coming: _Coming) -> tuple[Batch, Any]:
-        """The batch as numpy, its parts in order."""
-        seen = [coming.seen[part] for part in sorted(coming.seen)] if self._observes else []
-        return coming.batch, jax.tree.map(lambda *xs: np.concatenate(xs), *seen) if seen else None
 
     def _placed(self, batch: Batch, seen: Any) -> tuple[Batch, Any]:
         """The batch on the devices, once it is there."""
@@ -190,6 +186,11 @@ class _Coming:
     @property
     def batch(self) -> Batch:
         return jax.tree.unflatten(self._tree, self._leaves)
+
+    def seen_in_order(self) -> Any:
+        """What the curriculum observes, its parts in order; None where it does not."""
+        seen = [self.seen[part] for part in sorted(self.seen)]
+        return jax.tree.map(lambda *xs: np.concatenate(xs), *seen) if seen else None
 
     def put(self, batch: Batch, slots: np.ndarray, rows: np.ndarray, num_slots: int) -> list[np.ndarray]:
         """Rows of a part into these slots. Returns what was copied: nothing where the part is all there is."""

@@ -43,14 +43,15 @@ class LearnerWorker:
         env, policy = self._playing.environment(config), self._playing.policy
         self._learner = LearnerCore(config, env, policy, mesh)
         self._evaluator = Evaluator(config, env, policy)
-        self._curriculum = self._playing.curriculum(config)
-        self._state = CurriculumState(self._curriculum, mesh)
+        self._playing.curriculum(config)  # a level set that cannot be loaded is found before the start
+        self._states: dict[int, CurriculumState] = {}  # by `Phase.curriculum_since`: in use, and the next one
         self._staging = Staging(config, mesh, self._learner.division)
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
         """Starts from a checkpoint's arrays, or afresh."""
         self._learner.start(arrays)
-        self._state.start(arrays)
+        self._states = {}
+        self._begin_state(self._learner.num_updates, arrays)
 
     def weights(self) -> Any:
         """Parameters that act."""
@@ -60,25 +61,27 @@ class LearnerWorker:
         """Parameters for evaluation and scoring: see `LearnerState.released`."""
         return local_values(self._learner.released)
 
-    def curriculum_state(self) -> Any:
-        """State of the curriculum as numpy, from which rollout actors propose levels."""
-        return self._state.values
+    def curriculum_state(self, batch: int) -> Any:
+        """State of the curriculum as numpy, from which rollout actors propose levels of a batch."""
+        return self._state_of(batch).values
 
     def probe(self, num_levels: int) -> Any:
         """Levels of the buffer in use as numpy, which the next refresh plays again; None where there is no buffer."""
-        return self._curriculum.probe(self._state.values, num_levels)
+        state = self._state_of(self._drawn_next)
+        return state.curriculum.probe(state.values, num_levels)
 
     def refresh_input(self) -> Any:
         """Input of the next refresh as numpy, see `Curriculum.refresh_input`."""
-        return jax.device_get(self._curriculum.refresh_input(self._state.values))
+        state = self._state_of(self._drawn_next)
+        return jax.device_get(state.curriculum.refresh_input(state.values))
 
-    def state_from(self, arrays: Mapping[str, np.ndarray]) -> Any:
-        """A state of the curriculum from arrays of a checkpoint; not the one in use."""
-        return self._state.restored(arrays)
+    def state_from(self, batch: int, arrays: Mapping[str, np.ndarray]) -> Any:
+        """A state of the curriculum of a batch from arrays of a checkpoint; not the one in use."""
+        return self._state_of(batch).restored(arrays)
 
     def adopt(self, *parts: Any) -> None:
-        """Adopts parts of a refresh, in order."""
-        self._state.adopt(parts)
+        """Adopts parts of a refresh, in order, for the batches drawn from now on."""
+        self._state_of(self._drawn_next).adopt(parts)
 
     def stage(self, update: int, part: int, num_parts: int, content: Stored) -> dict[str, tuple[int, float]]:
         """A part of a batch on its way to the devices, while another batch is learned from: see `Staging.add`."""
@@ -91,11 +94,12 @@ class LearnerWorker:
         """
         began = time.monotonic()
         self._enter_phase_of(num_updates)
+        state = self._state_of(num_updates)
         batch, seen = self._staging.take(num_updates)
         env_steps = self._config.schedule.env_steps(num_updates)
         metrics = self._learner.learn(*batch, env_steps=env_steps)
         if seen is not None:
-            self._state.observe(*seen, env_steps=env_steps)
+            state.observe(*seen, env_steps=env_steps)
         metrics = self._metrics(num_updates, jax.tree.map(lambda *xs: sum(xs), *sums), local_values(metrics))
         header = {"metrics": metrics, "seconds": time.monotonic() - began}
         copies = Copies()
@@ -108,7 +112,9 @@ class LearnerWorker:
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""
-        return flatten_arrays({LEARNER: local_values(self._learner.state), CURRICULUM: self._state.values})
+        state = self._states.get(self._since(self._learner.num_updates))
+        values = None if state is None else state.values  # None: the next update begins another
+        return flatten_arrays({LEARNER: local_values(self._learner.state), CURRICULUM: values})
 
     def evaluate(self, use_policy: bool) -> dict[str, dict[str, Any]]:
         return self._evaluator.evaluate(self.released() if use_policy else None)
@@ -124,20 +130,45 @@ class LearnerWorker:
 
     def _enter_phase_of(self, num_updates: int) -> TrainConfig:
         """Before update `num_updates`: makes what its phase changes, if that is another one. Returns its config."""
-        config = self._config.schedule.at(num_updates).config
+        config = self._phase_config(num_updates)
         self._learner.set_ppo(config.ppo)
-        if (curriculum := self._playing.curriculum(config)) is not self._curriculum:
-            self._curriculum = curriculum
-            self._state.set_curriculum(curriculum)
         return config
+
+    @property
+    def _drawn_next(self) -> int:
+        """Batch whose levels are drawn next, where all that was ordered is played."""
+        return self._learner.num_updates + self._config.run.policy_lag
+
+    def _since(self, batch: int) -> int:
+        return self._config.schedule.at(batch).curriculum_since
+
+    def _state_of(self, batch: int) -> CurriculumState:
+        """State of the curriculum of a batch, which begins where there is none yet."""
+        if self._since(batch) not in self._states:
+            self._begin_state(batch, None)
+        state, curriculum = self._states[self._since(batch)], self._playing.curriculum(self._phase_config(batch))
+        if state.curriculum is not curriculum:
+            state.set_curriculum(curriculum)
+        return state
+
+    def _begin_state(self, batch: int, arrays: Mapping[str, np.ndarray] | None) -> None:
+        """The state of a batch, from arrays of a checkpoint or afresh; states of earlier updates are dropped."""
+        state = CurriculumState(self._playing.curriculum(self._phase_config(batch)), self._mesh)
+        state.start(arrays)
+        in_use = self._since(self._learner.num_updates)
+        self._states = {since: kept for since, kept in self._states.items() if since >= in_use}
+        self._states[self._since(batch)] = state
+
+    def _phase_config(self, update: int) -> TrainConfig:
+        return self._config.schedule.at(update).config
 
     def _metrics(
         self, num_updates: int, sums: Mapping[str, Any], learner_metrics: Mapping[str, Any]
     ) -> dict[str, float]:
-        metrics = training_metrics(
-            sums, learner_metrics, frame_skip=self._config.env.frame_skip, sources=self._curriculum.sources
-        )
-        return metrics | self._state.metrics(num_updates)
+        state = self._state_of(num_updates)
+        frame_skip = self._phase_config(num_updates).env.frame_skip
+        metrics = training_metrics(sums, learner_metrics, frame_skip=frame_skip, sources=state.curriculum.sources)
+        return metrics | state.metrics(num_updates)
 
 
 class Worker(LearnerWorker):
@@ -154,13 +185,14 @@ class Worker(LearnerWorker):
         self._worlds: OngoingWorlds | None = None  # that go on into the next update
         self._ahead_of = ahead_of if programs.has_cores() else None
         if self._ahead_of is not None:  # shapes are enough: it does not wait for a checkpoint
-            rollout = self._playing.rollout(self._enter_phase_of(self._ahead_of))
-            self._update_programs.begin(lambda: self._compile_update(rollout))
+            config = self._enter_phase_of(self._ahead_of)
+            rollout, state = self._playing.rollout(config), CurriculumState(self._playing.curriculum(config), mesh)
+            self._update_programs.begin(lambda: self._compile_update(rollout, state.shapes))
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
         super().start(arrays)
         if ongoing := select_arrays(arrays or {}, WORLDS):
-            config = self._config
+            config = self._phase_config(self._learner.num_updates)
             some = Proposal(levels=one_level(config))
             like = jax.eval_shape(lambda: begun(self._playing.environment(config), self._playing.policy, some))
             self._worlds = restored(ongoing, like, self._mesh, self._learner.division)
@@ -169,9 +201,12 @@ class Worker(LearnerWorker):
         released, is_new = self.released(), self._ahead_of == 0
         if is_new and jax.process_index() == 0:  # it begins with evaluations, see `training_run.py`
             self._evaluation_programs.begin(lambda: self._evaluator.compile_ahead(released))
-        has_part = jax.process_index() < self._config.curriculum.num_batches  # of a refresh
-        if self._config.workers_curate and has_part:
-            version = self._config.curriculum.next_refresh(self._ahead_of)
+        times = self._config.refresh_times
+        version = times.next(self._ahead_of) if self._config.workers_curate else None
+        if version is None:
+            return
+        num_batches = self._phase_config(times.adopted_at(version)).curriculum.num_batches
+        if jax.process_index() < num_batches:  # it has a part of that refresh
 
             def compile_refresh() -> None:
                 self._curator.compile_ahead(released, version)
@@ -181,8 +216,9 @@ class Worker(LearnerWorker):
             else:  # it makes an update first, and threads that trace take turns with those that launch programs
                 self._after_update = compile_refresh
 
-    def _compile_update(self, rollout: RolloutCore) -> None:
-        traced, batch = rollout.traced(self._learner.shapes.params, self._state.shapes)
+    def _compile_update(self, rollout: RolloutCore, state: Any) -> None:
+        """state: shapes of that of the curriculum."""
+        traced, batch = rollout.traced(self._learner.shapes.params, state)
         lowered = [program.lower() for program in traced]
         # What is compiled last decides, and threads that trace take turns: not before this.
         self._update_programs.begin(lambda: self._learner.compile(*batch))
@@ -220,17 +256,17 @@ class Worker(LearnerWorker):
         """(metrics, seconds of "rollout" and "learn", attempts by source as `RolloutCore.play` sums them)."""
         began = time.monotonic()
         self._update_programs.wait()
-        rollout = self._playing.rollout(self._enter_phase_of(num_updates))
+        rollout, state = self._playing.rollout(self._enter_phase_of(num_updates)), self._state_of(num_updates)
         batch, seen, sums, self._worlds = rollout.play(
-            self._learner.params, self._state.on_devices, num_updates, self._worlds
+            self._learner.params, state.on_devices, num_updates, self._worlds
         )
         sums = local_values(sums)  # waits for the rollout
         played = time.monotonic()
         env_steps = self._config.schedule.env_steps(num_updates)
         learner_metrics = local_values(self._learner.learn(*batch, env_steps=env_steps))
         if seen is not None:
-            self._state.observe(*seen, env_steps=env_steps, division=rollout.division)
-            jax.block_until_ready(self._state.on_devices)  # a curriculum may learn, too
+            state.observe(*seen, env_steps=env_steps, division=rollout.division)
+            jax.block_until_ready(state.on_devices)  # a curriculum may learn, too
         learned = time.monotonic()
         if self._after_update is not None:
             self._refresh_programs.begin(self._after_update)

@@ -63,8 +63,10 @@ class ColocatedTrainer:
 
     def refresh(self, weights: Any, policy_version: int, probe: Any, given: Any) -> Refresh:
         """Refreshes on the workers, as a curator would (see `Curator.request`); waits for it."""
-        has_parts, curriculum = self._config.curriculum_class.shares_refresh, self._config.curriculum
-        num_parts = min(len(self._handles), curriculum.num_batches) if has_parts else 1
+        times = self._config.refresh_times
+        config = self._config.schedule.at(times.adopted_at(policy_version)).config
+        has_parts = config.curriculum_class.shares_refresh
+        num_parts = min(len(self._handles), config.curriculum.num_batches) if has_parts else 1
         last = num_parts - 1  # it has no more batches to score than the others
         calls = [
             handle.call_with_header(
@@ -73,9 +75,11 @@ class ColocatedTrainer:
             for part, handle in enumerate(self._handles[:num_parts])
         ]
         headers = self.backend.gather([header for header, _ in calls])
-        if probe is None and self._config.curriculum_log.probe_levels and self.backend.works_in_background:
+        later = times.next(policy_version + 1)
+        has_probes = self._config.curriculum_log.probe_levels > 0 and later is not None and not times.is_first(later)
+        if probe is None and has_probes and self.backend.works_in_background:
             # A later one has. Its program is compiled, once, while updates go on; what fails there fails again.
-            self._handles[last].call_in_background("prepare_refresh", policy_version + curriculum.refresh_every)
+            self._handles[last].call_in_background("prepare_refresh", later)
         return Refresh.of([part for _, part in calls], headers)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:

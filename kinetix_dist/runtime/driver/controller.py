@@ -288,7 +288,7 @@ class Controller:
     def _curate_early(self) -> None:
         """Before a checkpoint what the curriculum does before the next update, so that a run that is resumed there need
         not do it before its first one."""
-        if self._refreshes.may_be_early and not self._is_over():
+        if self._refreshes.may_be_early(self.num_updates) and not self._is_over():
             self._refreshes.curate(self.num_updates, update_seconds=self._update_seconds)
 
     def _begin_phase(self) -> None:
@@ -329,7 +329,7 @@ class Controller:
             "progress/env_steps_per_second": steps_per_update / max(span, 1e-9),
             "runtime/dropped_steps": self.trainer.dropped_steps,
             **self._losses.metrics(),
-            **self._refreshes.metrics(),
+            **self._refreshes.metrics(self.num_updates - 1),
             **self.backend.measures(),
             **self._data.metrics(self.num_updates),
             "learner/skipped_updates": self._skipped.num_skipped,
@@ -340,7 +340,7 @@ class Controller:
         left = seconds_left(self.config.run, env_steps=self.env_steps, training_seconds=self.training_seconds)
         self._data.processes(self.num_updates, self.backend.processes())
         self.reporter.metrics(self.num_updates, metrics, left)
-        physics_steps = steps_per_update * self.config.env.frame_skip
+        physics_steps = steps_per_update * phase.config.env.frame_skip
         for kind, count, warning in self._physics.add(metrics, physics_steps):
             self.run.event("physics_warning", counter=kind, count=count, update=self.num_updates)
             self.reporter.note(warning)

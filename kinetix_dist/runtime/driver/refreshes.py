@@ -6,7 +6,8 @@
 
 A refresh requested at update k is adopted at update k + adopt_after, whatever the timing: training waits for a curator
 at work. It does not wait for one that died or is silent: the old buffer stays in use, and the new one is adopted at the
-first update that finds it there. `Adoptions` records that update, so that what is computed again does the same.
+first update that finds it there. `Adoptions` records that update, so that what is computed again does the same. The
+first refresh of a state of the curriculum, of the run or of a phase, is always waited for (`config/refresh_times.py`).
 
 | curator | consumes | produces | waits for | bound |
 |---|---|---|---|---|
@@ -34,6 +35,7 @@ import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
+from kinetix_dist.config.phases import Phase
 from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.cores.build import build_curator
 from kinetix_dist.runtime.cores.run_names import nested
@@ -109,9 +111,8 @@ class Refreshes:
         clock: RoleClock,
         stop: StopSignals,
     ) -> None:
-        self._config = config.curriculum
         self._schedule = config.schedule
-        self._has_input = config.curriculum_class.refreshes_from_state
+        self._times = config.refresh_times
         self._log = config.curriculum_log
         self._data = data
         self._run = data.run
@@ -147,7 +148,7 @@ class Refreshes:
 
         Where nothing is done at the same time, that would only come before the first evaluation.
         """
-        if self._curator is not None and self._curator.works_in_background:
+        if self._curator is not None and self._curator.works_in_background and self._times.is_due(0):
             self._request(0, self._trainer.weights(), None)
 
     def cancel(self) -> None:
@@ -155,24 +156,35 @@ class Refreshes:
         if self._curator is not None:
             self._curator.cancel()
 
-    @property
-    def may_be_early(self) -> bool:
-        """Says whether the refresh before the next update may as well be made before a checkpoint.
+    def may_be_early(self, num_updates: int) -> bool:
+        """Says whether the refresh before the update after `num_updates` may as well be made before a checkpoint.
 
         So it is where no process works in the background, no batch is drawn ahead, and a refresh that would have to be
         waited for has all programs compiled and is quick.
         """
-        if self._curator is None or self._curator.works_in_background or self._trainer.policy_lag or self._has_input:
+        if self._curator is None or self._curator.works_in_background or self._trainer.policy_lag:
             return False
-        return self._pending is None or self._taken_in.get(self._programs(self._pending[0]), math.inf) < MAX_EARLY_S
+        version = num_updates if self._pending is None else self._pending[0]
+        if self._has_input(version):
+            return False
+        begins = self._times.is_due(num_updates) and self._times.is_first(num_updates)  # requested and taken at once
+        if self._pending is None and not begins:
+            return True
+        return self._taken_in.get(self._programs(version), math.inf) < MAX_EARLY_S
+
+    def _phase(self, policy_version: int) -> Phase[TrainConfig]:
+        """Phase in which a refresh is adopted."""
+        return self._schedule.at(self._times.adopted_at(policy_version))
+
+    def _has_input(self, policy_version: int) -> bool:
+        return self._phase(policy_version).config.curriculum_class.refreshes_from_state
 
     def _programs(self, policy_version: int) -> tuple[int, bool]:
         """Key of the programs that a refresh runs: the phase that it is for, and whether it has a probe."""
-        phase = self._schedule.at(self._config.adopted_at(policy_version))
-        return phase.number, self._has_probe(policy_version)
+        return self._phase(policy_version).number, self._has_probe(policy_version)
 
     def _has_probe(self, policy_version: int) -> bool:
-        return self._log.has_probe(policy_version // self._config.refresh_every)
+        return self._log.has_probe(self._times.number(policy_version))
 
     def curate(self, num_updates: int, *, update_seconds: float) -> None:
         """Before update `num_updates`, once: requests a refresh and adopts one. update_seconds: of the update
@@ -180,11 +192,16 @@ class Refreshes:
         if self._curator is None or self._curated_for == num_updates:
             return
         self._curator.watch()
+        if self._pending is not None and self._times.is_over(self._pending[0], num_updates + self._trainer.policy_lag):
+            self._give_up(num_updates)  # a late one
+            self._is_stale = False
         is_requested = self._pending is not None and self._pending[0] == num_updates
         self._adopt_if_due(num_updates, update_seconds)
-        if self._config.is_refresh_due(num_updates) and not is_requested:
-            self._give_up_late(num_updates)
-            given = self._trainer.refresh_input() if self._has_input and num_updates else None
+        if self._times.is_due(num_updates) and not is_requested:
+            if self._pending is not None:
+                self._give_up(num_updates)
+            has_input = self._has_input(num_updates) and not self._times.is_first(num_updates)
+            given = self._trainer.refresh_input() if has_input else None
             self._request(num_updates, self._trainer.weights(), given)
             self._adopt_if_due(num_updates, update_seconds)
         self._curated_for = num_updates
@@ -194,7 +211,7 @@ class Refreshes:
         if self._pending is None:
             return
         version, drawn_last = self._pending[0], num_updates - 1 + self._trainer.policy_lag
-        if self._adoptions.get(version) is None and self._config.adopted_at(version) <= drawn_last:
+        if self._adoptions.get(version) is None and self._times.adopted_at(version) <= drawn_last:
             self._adoptions.record(version, NEVER)
 
     def description(self) -> dict[str, Any]:
@@ -215,10 +232,16 @@ class Refreshes:
 
     def buffer_of(self, batch: int) -> int | None:
         """Policy version of the buffer that the levels of a batch were drawn from; None where there is no such."""
-        return self._adoptions.in_use(batch)
+        return self._adoptions.in_use(batch) if self._refreshes(batch) else None
 
-    def metrics(self) -> dict[str, float]:
-        metrics = {}
+    def _refreshes(self, update: int) -> bool:
+        return self._schedule.at(update).config.curriculum_class.refreshes
+
+    def metrics(self, update: int) -> dict[str, float]:
+        """Metrics of an update, 0 for the first."""
+        metrics: dict[str, float] = {}
+        if not self._refreshes(update):
+            return metrics
         if self._curator is not None:
             metrics["curriculum/buffer_is_stale"] = float(self._is_stale)
         if self._scoring_seconds is not None:
@@ -228,7 +251,7 @@ class Refreshes:
     def _request(self, policy_version: int, weights: Any, given: Any) -> None:
         assert self._curator is not None
         self._pending = (policy_version, weights, given)
-        if not policy_version and not self._curator.works_in_background:
+        if self._times.is_first(policy_version) and not self._curator.works_in_background:
             self._reporter.phase("curating")
         with self._clock.role("curate"):
             # Of the buffer that is in use now: what this refresh replaces.
@@ -242,12 +265,13 @@ class Refreshes:
         version = self._pending[0]
         drawn_next = num_updates + self._trainer.policy_lag  # the batch whose levels are drawn now
         recorded = self._adoptions.get(version)
-        if drawn_next < (recorded if recorded is not None else self._config.adopted_at(version)):
+        if drawn_next < (recorded if recorded is not None else self._times.adopted_at(version)):
             return
-        if version == 0 and self._curator.works_in_background:
+        is_first = self._times.is_first(version)
+        if is_first and self._curator.works_in_background:
             self._reporter.phase("curating")
         # Without a first buffer there is nothing to play, and what is recorded is repeated as it was.
-        must_wait = version == 0 or recorded is not None
+        must_wait = is_first or recorded is not None
         patience_s = None if must_wait else max(MIN_PATIENCE_S, update_seconds)
         began = time.monotonic()
         with self._section("curate"), self._clock.role("curate"), self._may_stop():
@@ -278,11 +302,9 @@ class Refreshes:
             self._reporter.note(f"the buffer of policy version {version} is late: the old one stays in use until then")
         self._is_stale = True
 
-    def _give_up_late(self, num_updates: int) -> None:
-        """Gives up a refresh that has not come when the next one is due."""
-        if self._pending is None:
-            return
-        assert self._curator is not None
+    def _give_up(self, num_updates: int) -> None:
+        """Gives up a refresh that has not come when the next one is due, or another state of the curriculum begins."""
+        assert self._curator is not None and self._pending is not None
         version = self._pending[0]
         self._curator.cancel()
         self._adoptions.record(version, NEVER)
@@ -445,7 +467,10 @@ class CuratorProcess(BackgroundProcess):
         _, policy_version, probe, _ = self._requested
         takes_probes = self._part == self._num_parts - 1 and self._config.curriculum_log.probe_levels > 0
         if takes_probes and probe is None and self._backend.works_in_background:
-            self._handle.call("prepare", policy_version + self._config.curriculum.refresh_every)
+            times = self._config.refresh_times
+            later = times.next(policy_version + 1)
+            if later is not None and not times.is_first(later):
+                self._handle.call("prepare", later)
 
     def _send(self) -> None:
         assert self._requested is not None

@@ -64,13 +64,11 @@ class RunData:
         self._config = config
         self.run = run
         self.reporter = reporter
-        self._curriculum: type[Curriculum] = config.curriculum_class
         log = config.curriculum_log
         self._has_snapshots = log.max_snapshots > 0
         self._window = None
         if log.outcomes_every:
-            reset_every = config.rollout.reset_every
-            self._window = OutcomeWindow(self._curriculum.sources, log.outcomes_every, reset_every=reset_every)
+            self._window = OutcomeWindow(log.outcomes_every, reset_every=config.rollout.reset_every)
         self._sink_events = SinkEvents(run, reporter.note)
         self._sinks: dict[Path, BackgroundSink[Any]] = {}
         self._num_dropped = 0  # by sinks that are closed
@@ -92,7 +90,8 @@ class RunData:
             if os.path.exists(path):  # an unreadable one fails, and is reported, with the first row
                 self._sink(path, opens_at_once=True)
         if self._window is not None:
-            self._window.start(description, arrays, num_updates=num_updates)
+            sources = self._curriculum(max(num_updates - 1, 0)).sources
+            self._window.start(description, arrays, num_updates=num_updates, sources=sources)
 
     def description(self) -> dict[str, Any]:
         """Description for a checkpoint."""
@@ -109,20 +108,27 @@ class RunData:
 
         def arrays() -> dict[str, np.ndarray] | None:
             parts = [part.fetch_in_thread() for part in refresh.parts]
-            log = self._curriculum.refresh_log(self._config.curriculum, parts)
+            log = self._curriculum(first_batch).refresh_log(self._phase(first_batch).curriculum, parts)
             if log is None:
                 return None
             known = {"first_batch": np.int32(first_batch), "scoring_seconds": np.float64(refresh.seconds)}
             return log | known | {f"probe/{name}": array for name, array in refresh.probe.items()}
 
-        self._write_snapshot(REFRESH, num_updates, arrays)
+        self._write_snapshot(REFRESH, num_updates, self._phase(first_batch), arrays)
 
     def saved(self, num_updates: int, arrays: Mapping[str, np.ndarray]) -> None:
         """A checkpoint of these arrays is taken after so many updates."""
         if not self._has_snapshots:
             return
         state = select_arrays(arrays, CURRICULUM)
-        self._write_snapshot(BUFFER, num_updates, lambda: self._curriculum.buffer_log(state))
+        if state:  # else the next update begins another
+            kind = self._curriculum(num_updates)
+
+            def buffer() -> dict[str, np.ndarray] | None:
+                log = kind.buffer_log(state)  # a state counts updates since it began
+                return None if log is None else log | {"policy_version": np.int32(num_updates)}
+
+            self._write_snapshot(BUFFER, num_updates, self._phase(num_updates), buffer)
 
     def played(
         self, num_updates: int, attempts: Mapping[str, np.ndarray], *, num_attempts: float, buffer: int | None
@@ -132,11 +138,13 @@ class RunData:
         if self._window is None or not num_attempts:
             return
         if (counted := int(attempts["attempts"].sum())) != num_attempts:
+            name = self._phase(num_updates - 1).curriculum.name
             raise ValueError(
-                f"curriculum {self._config.curriculum.name!r}: of {num_attempts:.0f} worlds {counted} have a source; "
+                f"curriculum {name!r}: of {num_attempts:.0f} worlds {counted} have a source; "
                 "Proposal.source must be 0 or more, and less than the number of its sources and slots"
             )
-        self._write_outcomes(self._window.add(num_updates, attempts, buffer))
+        sources = self._curriculum(num_updates - 1).sources
+        self._write_outcomes(self._window.add(num_updates, attempts, buffer, sources))
 
     def trained(self, num_updates: int) -> None:
         """After the last update."""
@@ -181,8 +189,17 @@ class RunData:
         for line in lines:
             self._sink(self.run.outcomes).write(line["update"], line)
 
-    def _write_snapshot(self, kind: str, num_updates: int, arrays: Callable[[], dict[str, np.ndarray] | None]) -> None:
-        self._sink(self.run.curriculum).write(num_updates, UnfinishedSnapshot(kind, num_updates, arrays))
+    def _phase(self, batch: int) -> TrainConfig:
+        return self._config.schedule.at(batch).config
+
+    def _curriculum(self, batch: int) -> type[Curriculum]:
+        return self._phase(batch).curriculum_class
+
+    def _write_snapshot(
+        self, kind: str, num_updates: int, phase: TrainConfig, arrays: Callable[[], dict[str, np.ndarray] | None]
+    ) -> None:
+        known = {"curriculum": np.str_(phase.curriculum.name), "size": np.str_(phase.env.size)}
+        self._sink(self.run.curriculum).write(num_updates, UnfinishedSnapshot(kind, num_updates, known, arrays))
 
     def _sink(self, path: Path, *, opens_at_once: bool = False) -> BackgroundSink[Any]:
         """Sink of a file, or of the directory of snapshots."""
@@ -211,8 +228,6 @@ class RunData:
     def _snapshots(self) -> Callable[[], SnapshotSink]:
         sink = SnapshotSink(
             self.run.curriculum,
-            curriculum=self._config.curriculum.name,
-            size=self._config.env.size,
             max_snapshots=self._config.curriculum_log.max_snapshots,
             resume_at=self._resume_at,
             is_curated=self._is_curated,
@@ -233,32 +248,46 @@ Counts = Mapping[str, np.ndarray]
 class OutcomeWindow:
     """The window of one run. Lines are plain JSON types, by the names of docs/run_data.md."""
 
-    def __init__(self, sources: tuple[str, ...], every: int, *, reset_every: int = 1) -> None:
-        """sources: of the curriculum, what the first counts are of; every: updates, above 0; reset_every: updates in
-        which an attempt is played."""
-        self._sources = sources
+    def __init__(self, every: int, *, reset_every: int = 1) -> None:
+        """every: updates, above 0; reset_every: updates in which an attempt is played."""
         self._every = every
         self._reset_every = reset_every
-        self.start({}, {}, num_updates=0)
+        self.start({}, {}, num_updates=0, sources=())
 
-    def start(self, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], *, num_updates: int) -> None:
-        """Starts as a checkpoint says, taken after so many updates; empty where both are."""
+    def start(
+        self,
+        description: Mapping[str, Any],
+        arrays: Mapping[str, np.ndarray],
+        *,
+        num_updates: int,
+        sources: tuple[str, ...],
+    ) -> None:
+        """Starts as a checkpoint says, taken after so many updates; empty where both are. sources: of the curriculum of
+        the last of them."""
+        self._sources = sources
         counts = select_arrays(arrays, WINDOW)
         is_open = "attempts" in counts
         self._from_update: int = description.get("outcomes_from", num_updates) if is_open else num_updates
         self._buffer: int | None = description.get("outcomes_buffer")
         self._counts = {name: array.astype(np.int64) for name, array in counts.items()} if is_open else {}
 
-    def add(self, num_updates: int, attempts: Counts, buffer: int | None) -> list[dict[str, Any]]:
+    def add(
+        self, num_updates: int, attempts: Counts, buffer: int | None, sources: tuple[str, ...]
+    ) -> list[dict[str, Any]]:
         """Takes the counts of the updates that led to `num_updates`; lines of windows that are over.
 
-        attempts: "solved" and "attempts", [sources + slots]; buffer: whose levels the slots hold, or None.
+        attempts: "solved" and "attempts", [sources + slots]; buffer: whose levels the slots hold, or None. sources: of
+        the curriculum, what the first counts are of.
         """
         lines = []
         since = num_updates - self._reset_every
-        if self._counts and (buffer != self._buffer or self._counts.keys() != attempts.keys()):
+        if self._counts and (buffer, sources, _shapes(attempts)) != (
+            self._buffer,
+            self._sources,
+            _shapes(self._counts),
+        ):
             lines += self.end(since)
-        self._buffer = buffer
+        self._buffer, self._sources = buffer, sources
         self._counts = {name: self._counts.get(name, 0) + counts.astype(np.int64) for name, counts in attempts.items()}
         if num_updates // self._every > since // self._every:
             lines += self.end(num_updates)
@@ -288,3 +317,7 @@ class OutcomeWindow:
     def in_flight(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""
         return {f"{WINDOW}/{name}": counts for name, counts in self._counts.items()}
+
+
+def _shapes(counts: Counts) -> dict[str, tuple[int, ...]]:
+    return {name: np.shape(array) for name, array in counts.items()}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -83,6 +83,7 @@ class UnfinishedSnapshot:
 
     kind: str  # of curriculum_log.KINDS
     written_after: int  # updates
+    known: Mapping[str, Any]  # name of the "curriculum" and "size" of its levels
     arrays: Callable[[], dict[str, np.ndarray] | None]  # what the curriculum logs; None: nothing
 
 
@@ -94,15 +95,12 @@ class SnapshotSink:
         self,
         directory: Path,
         *,
-        curriculum: str,
-        size: str,
         max_snapshots: int,
         resume_at: int,
         is_curated: bool,
         on_event: Callable[[str, dict[str, Any]], None],
     ) -> None:
         self._directory = directory
-        self._known = {"curriculum": np.str_(curriculum), "size": np.str_(size)}
         self._max_snapshots = max_snapshots
         self._resume_at: int | None = resume_at
         self._is_curated = is_curated
@@ -115,7 +113,7 @@ class SnapshotSink:
             return
         levels = {name: array for name, array in arrays.items() if name.startswith(LEVELS)}
         arrays = (
-            self._known | {"written_after": np.int32(snapshot.written_after), "level_id": level_ids(levels)} | arrays
+            snapshot.known | {"written_after": np.int32(snapshot.written_after), "level_id": level_ids(levels)} | arrays
         )
         write_snapshot(self._directory, snapshot.kind, int(arrays["policy_version"]), arrays)
         thin_snapshots(self._directory, snapshot.kind, self._max_snapshots)

@@ -68,7 +68,6 @@ class SplitTrainer:
         self.backend = backend
         self._on_event = on_event
         self.place(placement)
-        self._observes = config.curriculum_class.observes
         self._learners: list[Handle] = []
         self._actors: list[Handle] = []
         self._dropped_before = 0
@@ -86,15 +85,15 @@ class SplitTrainer:
         self._learners, self._actors = self.backend.spawn_groups([learners, actors])
         stored = None if arrays is None else self.backend.put(dict(arrays))
         self._from_learners("start", stored)
-        self._state = self._learners[0].call("curriculum_state")
         self._weights.publish(num_updates, self._learners[0].call("weights"))
         if arrays is not None and num_updates > 0:
             # The batch that was being played when the checkpoint was taken: same weights, same state.
             acting = nested(select_arrays(arrays, ACTING))
             self._weights.publish(num_updates - 1, self.backend.put(acting))
-            state = self._state
-            if self._observes:
-                state = self._learners[0].call("state_from", self.backend.put(select_arrays(arrays, PROPOSING)))
+            state = self._proposing(num_updates)
+            if self._observes(num_updates):
+                stored = self.backend.put(select_arrays(arrays, PROPOSING))
+                state = self._learners[0].call("state_from", num_updates, stored)
             self._issue(num_updates, num_updates - 1, state)
 
     def place(self, placement: Placement) -> None:
@@ -108,7 +107,7 @@ class SplitTrainer:
 
     def adopt(self, parts: Sequence[Any]) -> None:
         self._from_learners("adopt", *parts)
-        self._state = self._learners[0].call("curriculum_state")
+        self._state_since = None
 
     def probe(self, num_levels: int) -> Future:
         return self._learners[0].call("probe", num_levels)
@@ -119,8 +118,8 @@ class SplitTrainer:
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         began = time.monotonic()
         if num_updates not in self._orders:
-            self._issue(num_updates, num_updates, self._state)
-        self._issue(num_updates + 1, num_updates, self._state)
+            self._issue(num_updates, num_updates, self._proposing(num_updates))
+        self._issue(num_updates + 1, num_updates, self._proposing(num_updates + 1))
         self._receive(num_updates)
         staged = [added(parts) for parts in zip(*self._staged(num_updates), strict=True)]
         waited, queue_length = time.monotonic() - began, len(self._work)
@@ -135,8 +134,8 @@ class SplitTrainer:
         learned = self.backend.gather([header for header, _ in learning])
         del self._orders[num_updates]
         self._weights.publish(num_updates + 1, learning[0][1])
-        if self._observes:
-            self._state = self._learners[0].call("curriculum_state")
+        if self._observes(num_updates):
+            self._state_since = None
         lags = [num_updates - work.policy_version for work in works]
         metrics = {
             **learned[0]["metrics"],
@@ -163,8 +162,8 @@ class SplitTrainer:
         acting_version = max(self._weights_in_flight(), default=None)
         if acting_version is not None:
             arrays |= flatten_arrays({ACTING: resolve(self._weights.get(acting_version))})
-        if self._observes and self._orders:
-            _, state = self._orders[max(self._orders)]
+        if self._orders and self._observes(batch := max(self._orders)):
+            _, state = self._orders[batch]
             arrays |= flatten_arrays({PROPOSING: resolve(state)})
         return arrays
 
@@ -208,8 +207,20 @@ class SplitTrainer:
         self._staging: dict[int, list[list[Future]]] = {}  # by update: for each part that came, answers of learners
         self._losses: dict[int, list[Loss]] = {}  # by part: since its actor gave something
         self._num_replaced: Counter[int] = Counter()  # by part, since then
-        self._state: Any = None  # of the curriculum
+        self._state: Any = None  # of the curriculum, as it was last fetched
+        self._state_since: int | None = None  # its `Phase.curriculum_since`; None: another one is to be fetched
         self._stragglers = Stragglers(self._on_event)
+
+    def _observes(self, batch: int) -> bool:
+        """The curriculum of a batch observes."""
+        return self._schedule.at(batch).config.curriculum_class.observes
+
+    def _proposing(self, batch: int) -> Any:
+        """State of the curriculum that proposes a batch which is ordered now."""
+        since = self._schedule.at(batch).curriculum_since
+        if self._state_since != since:
+            self._state, self._state_since = self._learners[0].call("curriculum_state", batch), since
+        return self._state
 
     def _weights_in_flight(self) -> list[int]:
         return [version for version, _ in self._orders.values()]

@@ -108,7 +108,8 @@ class Budget:
 
 def share_of_gpu(config: TrainConfig, processes: Sequence[tuple[str, int]], *, num_in_group: int) -> GpuShare:
     """The needs of the processes, (role, index) each, that a run places on one GPU."""
-    thread = thread_bytes(config.env.capacity)
+    phases = [phase.config for phase in config.schedule.phases]
+    thread = max(thread_bytes(phase.env.capacity) for phase in phases)
     needs = []
     for role, index in processes:
         process = f"{role} {index}"
@@ -118,7 +119,7 @@ def share_of_gpu(config: TrainConfig, processes: Sequence[tuple[str, int]], *, n
                 MemoryNeeds(
                     process=process,
                     thread_bytes=thread,
-                    pool_bytes=curator_pool_bytes(config),
+                    pool_bytes=max(curator_pool_bytes(phase) for phase in phases),
                     budget_bytes=round(by_hand * GIB) if by_hand else None,
                 )
             )

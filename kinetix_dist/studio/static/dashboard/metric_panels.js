@@ -19,6 +19,9 @@ export const PANELS = [
   { title: "Clipped share and explained variance", names: ["learner/clip_fraction", "learner/explained_variance"] },
   { title: "Gradient norm", names: ["learner/grad_norm"] },
   { title: "Gradient noise scale", names: ["learner/gradient_noise_scale"], help: "samples" },
+  { title: "Dormant units", names: ["learner/dormant_share"], help: "measured every plasticity.every updates, as the next two panels" },
+  { title: "Rank of features", names: ["learner/actor_feature_rank", "learner/critic_feature_rank"] },
+  { title: "Norm of the weights", names: ["learner/weight_norm"] },
   {
     title: "Where the time goes",
     names: ["rollout", "learn", "curate", "evaluate", "record", "checkpoint", "idle"].map((name) => `time/${name}`),
