@@ -16,6 +16,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from kinetix_dist import prng
 from kinetix_dist.benchmarks.measuring import Record, Results
 from kinetix_dist.checkpoint import CheckpointError, load_checkpoint
 from kinetix_dist.config import from_dict_for_playing
@@ -37,7 +38,7 @@ BINS = 20  # of x, from wall to wall
 class Options:
     """How well a policy goes below a goal, by kind of body; and random actions."""
 
-    checkpoint: Path
+    checkpoint: Path = Path("generalist")
     """A checkpoint, or a policy that comes along, such as generalist."""
     morphologies: tuple[str, ...] = tuple(MORPHOLOGIES)
     """Kinds of bodies."""
@@ -64,7 +65,7 @@ def measure(options: Options, results: Results) -> None:
         size = size_for(morphology)
         steps = STEPS_TO_GET_THERE + STEPS_SEEN
         env = Environment(dataclasses.replace(config.env, size=size, max_steps=steps))
-        key = jax.random.key(options.seed)
+        key = prng.key(options.seed)
         levels = jax.device_get(GoalFollowingLevels(SIZES[size], morphology).generate(key, options.levels))
         with user_errors(ValueError, prefix=f"{options.checkpoint}: "):
             module, params = load_policy(checkpoint, config.policy, env, levels)
@@ -73,7 +74,7 @@ def measure(options: Options, results: Results) -> None:
             "random": Player(RandomPolicy(env.action_space)),
         }
         for name, player in players.items():
-            rollouts = record_rollouts(env, player, levels, jax.random.fold_in(key, 1), seed=options.seed)
+            rollouts = record_rollouts(env, player, levels, prng.fold_in(key, 1), seed=options.seed)
             found = follows(rollouts)
             results.add({"morphology": morphology, "actions": name, "size": size, "levels": len(rollouts)} | found)
             results.report(

@@ -65,7 +65,7 @@ def test_a_step_of_each_reward(penalty: float) -> None:
 
 
 def test_what_a_reward_uses_is_what_changes_it() -> None:
-    for name in REWARDS:
+    for name in ("dense", "sparse", "shaped"):  # other tests of the process register their own
         reward = REWARDS[name]
         by_hand = reward.reward(step())
         for field, uses in (("dense_scale", reward.uses_dense_scale), ("discount", reward.uses_discount)):
