@@ -21,6 +21,7 @@ from typing import Any
 
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.setting import check_settings, setting
+from kinetix_dist.study.choice import check_arms
 from kinetix_dist.study.command_results import RESULTS
 from kinetix_dist.study.study_file import FORMAT, NOT_RUN, SMALL
 from kinetix_dist.sweep.design import DesignError, check_names
@@ -98,11 +99,7 @@ class CommandStudy:
         small = self.small
         if small is None:
             raise DesignError(f"study {self.name} has no small version; add a section [small], or leave out --small")
-        names = [arm.name for arm in self.arms]
-        for name in small.arms:
-            if name not in names:
-                hint = did_you_mean(name, names, f"arms are {', '.join(names)}")
-                raise DesignError(f"small.arms has {name!r}; {hint}")
+        check_arms(small.arms, [arm.name for arm in self.arms], "small.arms has {name}")
         arms = [
             dataclasses.replace(arm, values={**arm.values, **small.values})
             for arm in self.arms

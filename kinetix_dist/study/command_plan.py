@@ -15,8 +15,8 @@ from typing import Any
 from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.config import to_dict
 from kinetix_dist.errors import user_errors
-from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.studio.runs.run_files import RunFileError, read_object
+from kinetix_dist.study.choice import check_arms, number_of_seeds
 from kinetix_dist.study.command_file import CommandStudy, words_of
 from kinetix_dist.study.command_results import RESULTS, Row, Written
 from kinetix_dist.study.driver import RESULTS as STUDY_JSON
@@ -24,7 +24,6 @@ from kinetix_dist.study.report import wrapped
 from kinetix_dist.study.study_file import NOT_RUN
 from kinetix_dist.study.tables import text_of
 from kinetix_dist.sweep.arms import short_hash
-from kinetix_dist.sweep.design import DesignError
 from kinetix_dist.sweep.results_directory import ARMS, ResultsDirectory, write_json
 from kinetix_dist.sweep.run_loop import Callbacks, RunLoop, RunsFailedError
 from kinetix_dist.sweep.slots import Slot
@@ -60,14 +59,8 @@ class CommandPlan:
 
 def command_plan_of(study: CommandStudy, *, seeds: int | None = None, arms: Collection[str] = ()) -> CommandPlan:
     """Plan with so many seeds (None: as many as the study says) for the named arms (none: all). Raises DesignError."""
-    names = [arm.name for arm in study.arms]
-    for name in arms:
-        if name not in names:
-            hint = did_you_mean(name, names, f"arms are {', '.join(names)}")
-            raise DesignError(f"unknown arm {name!r} of study {study.name}; {hint}")
-    count = study.seeds if seeds is None else seeds
-    if count < 1:
-        raise DesignError(f"--seeds is {count}; give 1 or more")
+    check_arms(arms, [arm.name for arm in study.arms], f"unknown arm {{name}} of study {study.name}")
+    count = number_of_seeds(study.seeds, seeds)
     runs = tuple(
         _run(study, arm.name, {**study.values, **arm.values}, seed, part)
         for seed in range(study.first_seed, study.first_seed + count)

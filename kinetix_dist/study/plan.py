@@ -10,8 +10,8 @@ from pathlib import Path
 from kinetix_dist.config import ConfigError, TrainConfig, to_dict
 from kinetix_dist.errors import one_line
 from kinetix_dist.evaluation.evaluation_sets import check_evaluation_sets
-from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.recipes import recipe
+from kinetix_dist.study.choice import check_arms, number_of_seeds
 from kinetix_dist.study.study_file import FORGETTING, Study
 from kinetix_dist.sweep.arms import SET_BY_SWEEP, Arm, Run, check_options, digests_of, make_run, short_hash
 from kinetix_dist.sweep.design import DesignError
@@ -56,14 +56,8 @@ def plan_of(study: Study, *, seeds: int | None = None, arms: Collection[str] = (
 
     The first seed of all arms comes first, then the next. Raises DesignError for what cannot be run, in one line.
     """
-    names = [arm.name for arm in study.arms]
-    for name in arms:
-        if name not in names:
-            hint = did_you_mean(name, names, f"arms are {', '.join(names)}")
-            raise DesignError(f"unknown arm {name!r} of study {study.name}; {hint}")
-    count = study.seeds if seeds is None else seeds
-    if count < 1:
-        raise DesignError(f"--seeds is {count}; give 1 or more")
+    check_arms(arms, [arm.name for arm in study.arms], f"unknown arm {{name}} of study {study.name}")
+    count = number_of_seeds(study.seeds, seeds)
     base = _base(study)
     first = study.first_seed
     wanted = range(first, first + count)

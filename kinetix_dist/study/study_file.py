@@ -17,11 +17,10 @@ docs/studies.md describes every field.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
-from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.setting import check_settings, setting
+from kinetix_dist.study.choice import check_arms
 from kinetix_dist.sweep.arms import PHASES
 from kinetix_dist.sweep.design import ArmOptions, DesignError, check_names, check_option_names
 
@@ -125,9 +124,7 @@ class Study:
         if len(self.arms) < 1:
             raise DesignError("a study has no arms; give one or more")
         arm_names = [arm.name for arm in self.arms]
-        if self.reference not in arm_names:
-            hint = did_you_mean(self.reference, arm_names, f"arms are {_listed(arm_names)}")
-            raise DesignError(f"reference {self.reference!r} is no arm; {hint}")
+        check_arms([self.reference], arm_names, "reference {name} is no arm")
         if not self.sets or len(set(self.sets)) < len(self.sets):
             raise DesignError(f"sets are {', '.join(self.sets) or 'none'}; name one level set or more, each once")
         for field in ("sets", "tasks"):
@@ -188,10 +185,7 @@ class Study:
         small = self.small
         if small is None:
             raise DesignError(f"study {self.name} has no small version; add a section [small], or leave out --small")
-        names = [arm.name for arm in self.arms]
-        for name in small.arms:
-            if name not in names:
-                raise DesignError(f"small.arms has {name!r}; {did_you_mean(name, names, f'arms are {_listed(names)}')}")
+        check_arms(small.arms, [arm.name for arm in self.arms], "small.arms has {name}")
         phases = {PHASES: list(small.phases)}
         arms = [
             dataclasses.replace(
@@ -224,7 +218,3 @@ class Study:
             )
         except ValueError as error:
             raise DesignError(f"small: {error}") from error
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)
