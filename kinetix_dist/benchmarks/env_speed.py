@@ -53,7 +53,7 @@ class Options:
     repeats: int = 7
     """Timed runs."""
     seed: int = 0
-    """Of the actions."""
+    """Seed of the actions."""
     json: Path | None = None
     """File for the records."""
 

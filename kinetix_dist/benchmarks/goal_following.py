@@ -39,13 +39,13 @@ class Options:
     """How well a policy goes below a goal, by kind of body; and random actions."""
 
     checkpoint: Path = Path("generalist")
-    """A checkpoint, or a policy that comes along, such as generalist."""
+    """A checkpoint, or a bundled policy such as generalist."""
     morphologies: tuple[str, ...] = tuple(MORPHOLOGIES)
     """Kinds of bodies."""
     levels: int = 512
-    """Of each kind."""
+    """Levels of each kind."""
     seed: int = 0
-    """Of levels and actions."""
+    """Seed of levels and actions."""
     json: Path | None = None
     """File for the records."""
 

@@ -42,11 +42,11 @@ class Options(BenchmarkOptions):
     size: Literal["s", "m", "l"] = "m"
     """Level size."""
     dtype: Literal["float32", "bfloat16"] = "bfloat16"
-    """Of activations."""
+    """Type of activations."""
     network: Literal["transformer", "transformer_lean", "flat"] = "transformer"
     """Policy network."""
     kernels: Literal["auto", "xla", "fused"] = "xla"
-    """Of the layers, see policy.kernels."""
+    """Kernels of the layers, see policy.kernels."""
     encoder_size: int = 128
     """Width of tokens and of hidden layers."""
     minibatch: int = 16_384

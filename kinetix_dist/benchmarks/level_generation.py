@@ -41,7 +41,7 @@ class Options:
     repeats: int = 7
     """Timed runs."""
     seed: int = 0
-    """Of the levels."""
+    """Seed of the levels."""
     json: Path | None = None
     """File for the records."""
 

@@ -40,7 +40,7 @@ class Args:
     require_gpu: bool = False
     """Fail where JAX or Warp cannot use a GPU."""
     run_dir: Path = Path("runs")
-    """Where runs would be written: checked for space and permission."""
+    """Directory of runs: checked for space and permission."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

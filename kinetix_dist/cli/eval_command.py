@@ -64,7 +64,7 @@ class Args:
     greedy: bool = False
     """Most likely actions instead of samples."""
     seed: int = 0
-    """Of the actions drawn."""
+    """Seed of the actions drawn."""
     max_worlds: int = 4096
     """Episodes played at once, a matter of memory: the rates do not depend on it."""
     json: Path | None = None

@@ -36,7 +36,7 @@ class Generate:
     count: int = 24
     """How many levels."""
     size: Literal["s", "m", "l"] | None = None
-    """Of random levels, "m" if left out; other levels have the size of the set or the run."""
+    """Size of random levels, "m" if left out; other levels have the size of the set or the run."""
     generator: str | None = None
     """Which random levels: "default", "kinetix", "locomotion", "tasks" or one of its families, such as "car"."""
     like: str | None = None
@@ -48,7 +48,7 @@ class Generate:
     body: str | None = None
     """Levels of goal following with such a body: car, snake, thrusters or random (`kinetix-dist bench goals`)."""
     seed: int = 0
-    """Of the draw, and of the training of the autoencoder."""
+    """Seed of the draw, and of the training of the autoencoder."""
 
 
 def run_generate(args: Generate) -> int:

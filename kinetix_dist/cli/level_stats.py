@@ -26,13 +26,13 @@ class Stats:
     """Describe random levels in numbers: counts, sizes, positions, joints, motors, thrusters, overlaps."""
 
     size: Literal["s", "m", "l"] = "m"
-    """Of the levels."""
+    """Size of the levels."""
     generator: str = "default"
     """Which distribution: "default", "kinetix" (the public package's), "locomotion", "tasks" or one of its families."""
     levels: int = 10_000
     """How many to draw, unfiltered."""
     seed: int = 0
-    """Of the draw."""
+    """Seed of the draw."""
     json: Path | None = None
     """Also write the statistics here."""
     reference: Path | None = None

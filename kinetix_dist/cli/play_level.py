@@ -30,7 +30,7 @@ class Play(ServerArgs):
     level: tyro.conf.Positional[str]
     """A level file, or a designed level such as s/hop_home."""
     policy: str = "keys"
-    """Who plays: "keys", "random", "noop", a pretrained policy such as generalist, or a run directory."""
+    """Player: "keys", "random", "noop", a pretrained policy such as generalist, or a run directory."""
 
 
 def run_play(args: Play) -> int:

@@ -38,16 +38,16 @@ class Render:
     out: tyro.conf.Positional[Path]
     """The picture to write: .png, or .gif of a rollout."""
     by: Literal["start", "noop", "random", "proof", "trained"] = "start"
-    """What is shown: the start alone, or a rollout without actions, with random ones, by the stored proof, or by
+    """Pictures of: the start alone, or a rollout without actions, with random ones, by the stored proof, or by
     the policy of --checkpoint."""
     checkpoint: Path | None = None
     """Whose policy --by trained plays: a checkpoint directory, or a pretrained policy such as generalist."""
     count: int = 24
     """At most so many levels of a set, the first ones."""
     columns: int | None = None
-    """Of a grid; left out: about a third more than rows."""
+    """Columns of a grid; left out: about a third more than rows."""
     seed: int = 0
-    """Of the actions drawn."""
+    """Seed of the actions drawn."""
     preset: Annotated[str | None, tyro.conf.arg(name="env.preset")] = None
     """Solver settings of the physics; left out: those of the checkpoint, else standard."""
 

@@ -60,7 +60,7 @@ class Solve:
     worlds: int = 512
     """Worlds played at once."""
     seed: int = 0
-    """Of the search."""
+    """Seed of the search."""
     preset: Annotated[str, tyro.conf.arg(name="env.preset")] = "standard"
     """Solver settings of the physics."""
 

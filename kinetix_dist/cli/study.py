@@ -117,7 +117,7 @@ def _list(args: Args) -> int:
 
 
 def _known(study: Study | CommandStudy, directory: Path) -> dict[str, str]:
-    """What the results of a study below a directory show; where there are none, what the file of the study says."""
+    """Finding of a study: of its results below a directory, or, where there are none, of its file."""
     from kinetix_dist.study.driver import read_results
     from kinetix_dist.study.study_file import NOT_RUN
 

@@ -67,9 +67,9 @@ class TrainConfig:
         num_steps = rollout.steps_between_resets
         if num_steps >= max_steps:
             return ""
-        resets = "every update begins its levels anew"
+        resets = "every update begins its levels again"
         if rollout.reset_every > 1:
-            resets = f"levels begin anew every {rollout.reset_every} updates"
+            resets = f"levels begin again every {rollout.reset_every} updates"
         return (
             f"rollout.num_steps is {rollout.num_steps} and env.max_steps {max_steps}: {resets}, so "
             f"that what comes after step {num_steps} of an episode is never learned from; raise the one or "

@@ -37,7 +37,7 @@ MAX_LEVELS = 12  # of a picture; more would be too small to see
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PlayedLevel:
-    """What is seen of a policy on a level."""
+    """One rollout of a policy on a level, as it is drawn."""
 
     level: str
     moment: str  # "before", or "after 65,536 steps"

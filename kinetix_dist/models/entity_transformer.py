@@ -116,8 +116,8 @@ class EntityTransformer(nn.Module):
             normal = normalise(x)
             motors = obs.joints[..., JOINT_COLOUR] * obs.joint_mask[..., None]
             thrusts = obs.thrusters[..., THRUSTER_COLOUR] * obs.thruster_mask[..., None]
-            of_joints = self._told("joint", normal, joint_ends(obs), joints, motors)
-            of_thrusters = self._told("thruster", normal, obs.thruster_owner, thrusters, thrusts)
+            of_joints = self._for_colours("joint", normal, joint_ends(obs), joints, motors)
+            of_thrusters = self._for_colours("thruster", normal, obs.thruster_owner, thrusters, thrusts)
             towers = functools.partial(towers, by_colour=(of_joints, of_thrusters))
         return apply_towers(towers, embedding.astype(self.dtype), memory, is_first, self.memory_size)
 
@@ -233,8 +233,8 @@ class EntityTransformer(nn.Module):
             ]
         return [kernel[: num_ends * size] for kernel in kernels], terms
 
-    def _told(self, kind: str, x: Array, ends: Array, entities: Array, colours: Array) -> Array:
-        """[B, colours, hidden_size]: what joints or thrusters tell the heads of their colours (colour_readout.py)."""
+    def _for_colours(self, kind: str, x: Array, ends: Array, entities: Array, colours: Array) -> Array:
+        """[B, colours, hidden_size]: joints or thrusters of each colour, summed for its heads (colour_readout.py)."""
         rows = jnp.concatenate([take_rows(x, ends).reshape(*entities.shape[:2], -1), entities], axis=-1)
         kernel = self.param(f"{kind}_told_kernel", lecun_normal(), (rows.shape[-1], self.hidden_size), jnp.float32)
         bias = self.param(f"{kind}_told_bias", zeros, (self.hidden_size,), jnp.float32)

@@ -98,7 +98,7 @@ def forgetting(plan: Plan, runs: Sequence[Trained]) -> list[Forgetting]:
 
 
 def measures(trained: Trained, tasks: Sequence[str]) -> dict[str, float]:
-    """Those of `MEASURES` that a run has, by name. tasks: of the study."""
+    """Values of the `MEASURES` that a run has, by name. tasks: of the study."""
     sets = list(dict.fromkeys(tasks))
     rates = trained.rates(sets)
     found = {"average rate": float(rates[-1].mean())}

@@ -91,7 +91,7 @@ def forgetting_paragraph(results: Sequence[Forgetting]) -> str:
 
 
 def forgetting_finding(results: Sequence[Forgetting]) -> str:
-    """What arms solve at the end and forgot, in one sentence; "not run yet"."""
+    """Rates at the end and forgetting of the arms, in one sentence; "not run yet"."""
     found = []
     for result in results:
         forgotten = result.measures.get(MEASURES[1])

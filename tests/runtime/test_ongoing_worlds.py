@@ -183,7 +183,7 @@ def test_it_is_part_of_the_hash_where_worlds_go_on():
 
 def test_a_run_says_which_steps_of_an_episode_it_never_plays():
     config = with_resets(tiny_config(num_updates=1), max_steps=30)
-    assert "levels begin anew every 3 updates, so that what comes after step 24" in config.cut_episodes
+    assert "levels begin again every 3 updates, so that what comes after step 24" in config.cut_episodes
     assert not with_resets(tiny_config(num_updates=1), max_steps=24).cut_episodes
 
 

@@ -58,7 +58,7 @@ def test_paper_recipes_have_the_papers_numbers():
 def test_recipes_learn_from_whole_episodes():
     assert [name for name in RECIPES if recipe(name).cut_episodes] == ["tiny"]
     said = recipe("tiny").cut_episodes
-    assert said.startswith("rollout.num_steps is 8 and env.max_steps 16: every update begins its levels anew")
+    assert said.startswith("rollout.num_steps is 8 and env.max_steps 16: every update begins its levels again")
 
 
 def test_scores_of_candidates_need_a_whole_episode():

@@ -16,7 +16,7 @@ from kinetix_dist.level.level import Level
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Bodies:
-    """Where the shapes of a batch of worlds are and how they move."""
+    """Positions and velocities of the shapes of a batch of worlds."""
 
     position: Array  # [W, n, 2] m
     angle: Array  # [W, n] rad

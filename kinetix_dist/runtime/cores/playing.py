@@ -1,6 +1,6 @@
 """Objects that a process plays with in a phase of a run: environment, curriculum and rollout.
 
-An object is made anew where a phase changes what it depends on, and compiled when it is first used.
+An object is made again where a phase changes what it depends on, and compiled when it is first used.
 """
 
 from __future__ import annotations

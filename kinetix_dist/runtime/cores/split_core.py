@@ -188,7 +188,7 @@ class _Coming:
         return jax.tree.unflatten(self._tree, self._leaves)
 
     def seen_in_order(self) -> Any:
-        """What the curriculum observes, its parts in order; None where it does not."""
+        """Observation of the curriculum, its parts in order; None where it does not observe."""
         seen = [self.seen[part] for part in sorted(self.seen)]
         return jax.tree.map(lambda *xs: np.concatenate(xs), *seen) if seen else None
 

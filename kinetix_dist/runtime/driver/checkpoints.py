@@ -273,5 +273,5 @@ def _check_engine(checkpoint: Checkpoint, env: EnvConfig) -> None:
     if differs := [f"{name} {learned[name]} instead of {ours[name]}" for name in ours if ours[name] != learned[name]]:
         raise CheckpointError(
             f"run.start_from: {checkpoint.path} learned with other settings of the engine: {', '.join(differs)}; set "
-            "env.frame_skip and env.physics.* to these, or --run.start_other_engine True to learn anew with yours"
+            "env.frame_skip and env.physics.* to these, or --run.start_other_engine True to train with yours from here"
         )

@@ -57,7 +57,7 @@ class EnvironmentSpeed:
 
 
 def _fastest(rows: Sequence[Row]) -> list[Row]:
-    """Of each arm, size and observation the number of worlds that is fastest, in the order of the rows."""
+    """Fastest number of worlds of each arm, size and observation, in the order of the rows."""
     best: dict[tuple[str, str, str], Row] = {}
     for row in rows:
         key = (row["arm"], row["size"], row["observation"])

@@ -14,7 +14,7 @@ RECORDS = "records.json"  # file of benchmarks, in the directory of a run
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Written:
-    """What a run has written."""
+    """Records that a run has written."""
 
     arm: str
     seed: int
@@ -29,7 +29,7 @@ class Kind(Protocol):
         ...
 
     def sentences(self, rows: Sequence[Row]) -> list[str]:
-        """What came out."""
+        """Findings, a sentence each."""
         ...
 
     def finding(self, rows: Sequence[Row]) -> str:
