@@ -5,7 +5,6 @@ The same command goes on where it stopped. docs/studies.md describes studies, th
 
 from __future__ import annotations
 
-import abc
 import dataclasses
 import functools
 import shlex
@@ -22,11 +21,13 @@ from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.study.command_file import CommandStudy
-    from kinetix_dist.study.command_plan import CommandPlan, CommandTraining
-    from kinetix_dist.study.driver import StudyTraining
+    from kinetix_dist.study.command_plan import CommandPlan, CommandStudyDirectory
+    from kinetix_dist.study.driver import TrainingStudyDirectory
     from kinetix_dist.study.plan import Plan
     from kinetix_dist.study.study_file import Study
     from kinetix_dist.sweep.slots import Slot
+
+    AnyDirectory = TrainingStudyDirectory | CommandStudyDirectory
 
 RUNS = Path("runs") / "studies"
 LIST = "list"
@@ -74,28 +75,29 @@ def run(args: Args) -> int:
         study = find_study(args.study)
         study = study.as_small if args.small else study
         path = args.out or RUNS / study.name
-        work = _work_of(study, args, path)
-    is_there = check_design(path, work.plan.hash)
+        directory = _directory_of(study, args, path)
+    is_there = check_design(path, directory.plan.hash)
     if args.draw:
         if not is_there:
             raise UserError(f"{path} holds no results of study {study.name}; train it first, or name them with --out")
-        _report(work)
+        _report(directory)
         return 0
     if args.plan:
-        slots, missing = planned_slots(lambda: work.slots(args.gpus), args.gpus, OPTION)
-        return _print_plan(args, work, slots, missing)
-    return _train(args, work, work.slots(args.gpus))
+        slots, missing = planned_slots(lambda: _slots(directory, args.gpus), args.gpus, OPTION)
+        return _print_plan(args, directory, slots, missing)
+    return _train(args, directory, _slots(directory, args.gpus))
 
 
-def _work_of(study: Study | CommandStudy, args: Args, path: Path) -> _Work:
+def _directory_of(study: Study | CommandStudy, args: Args, path: Path) -> AnyDirectory:
     """Raises DesignError for what cannot be run."""
     from kinetix_dist.study.command_file import CommandStudy
-    from kinetix_dist.study.command_plan import command_plan_of
+    from kinetix_dist.study.command_plan import CommandStudyDirectory, command_plan_of
+    from kinetix_dist.study.driver import TrainingStudyDirectory
     from kinetix_dist.study.plan import plan_of
 
     if isinstance(study, CommandStudy):
-        return _Commands(command_plan_of(study, seeds=args.seeds, arms=args.arms), path)
-    return _Training(plan_of(study, seeds=args.seeds, arms=args.arms, path=path), path)
+        return CommandStudyDirectory(command_plan_of(study, seeds=args.seeds, arms=args.arms, path=path), path)
+    return TrainingStudyDirectory(plan_of(study, seeds=args.seeds, arms=args.arms, path=path), path)
 
 
 def _list(args: Args) -> int:
@@ -118,7 +120,7 @@ def _list(args: Args) -> int:
 
 def _known(study: Study | CommandStudy, directory: Path) -> dict[str, str]:
     """Finding of a study: of its results below a directory, or, where there are none, of its file."""
-    from kinetix_dist.study.driver import read_results
+    from kinetix_dist.study.directory import read_results
     from kinetix_dist.study.study_file import NOT_RUN
 
     path = directory / study.name
@@ -131,25 +133,28 @@ def _known(study: Study | CommandStudy, directory: Path) -> dict[str, str]:
     }
 
 
-def _print_plan(args: Args, work: _Work, slots: list[Slot], missing: str) -> int:
+def _print_plan(args: Args, directory: AnyDirectory, slots: list[Slot], missing: str) -> int:
     """missing: why these slots are not there."""
+    from kinetix_dist.study.command_plan import CommandPlan
     from kinetix_dist.study.cost import check_minutes, predicted_minutes
 
-    study, plan = work.plan.study, work.plan
+    plan = directory.plan
+    study = plan.study
     screen = console()
-    screen.print(work.table())
-    left = work.seconds_left()
+    screen.print(_plan_table(plan))
+    left = directory.seconds_left()
     minutes = predicted_minutes(list(left.values()), len(slots))
     lines = [
         f"question   {study.question}",
         f"the paper  {study.paper}",
-        *work.lines(),
         f"runs       {len(left)} of {len(plan.chosen)} are left",
         f"slots      {', '.join(slot.name for slot in slots)}" + (f"; not there now: {missing}" if missing else ""),
         f"time       {minutes:.1f} minutes predicted, {sum(left.values()) / 60:.1f} of all slots together, by the "
         f"speed of {study.cost.device} or of the arm's own runs",
-        f"results    {work.path}, hash {plan.hash}",
+        f"results    {directory.path}, hash {plan.hash}",
     ]
+    if not isinstance(plan, CommandPlan):
+        lines.insert(2, f"sets       {', '.join(plan.study.sets)}, every {plan.study.every_steps:,} steps")
     for line in lines:
         screen.print(line, soft_wrap=True, highlight=False)
     if args.minutes is not None:
@@ -157,144 +162,54 @@ def _print_plan(args: Args, work: _Work, slots: list[Slot], missing: str) -> int
     return 0
 
 
-def _train(args: Args, work: _Work, slots: list[Slot]) -> int:
+def _train(args: Args, directory: AnyDirectory, slots: list[Slot]) -> int:
+    from kinetix_dist.study.command_plan import CommandPlan
     from kinetix_dist.study.cost import check_minutes, predicted_minutes
 
     began = time.monotonic()
-    left = list(work.seconds_left().values())
+    left = list(directory.seconds_left().values())
     if args.minutes is not None:  # before a directory is made
         check_minutes(left, args.minutes)
-    training = work.begin()
-    path = work.path
-    print(f"study {path}  hash {work.plan.hash}  slots {', '.join(slot.name for slot in slots)}", flush=True)
-    print(f"cost       {len(left)} runs, {predicted_minutes(left, len(slots)):.1f} minutes predicted", flush=True)
-    if isinstance(work, _Training):
-        print(f"watch it   kinetix-dist dashboard {shlex.quote(str(path / 'arms'))}", flush=True)
-    try:
-        train, finish = functools.partial(training.train, slots), functools.partial(_report, work)
-        return train_in_time(train, work.seconds_to_stop(), args.minutes, began, finish)
-    finally:
-        training.close()
+    path, plan = directory.path, directory.plan
+    with directory.taken():
+        print(f"study {path}  hash {plan.hash}  slots {', '.join(slot.name for slot in slots)}", flush=True)
+        print(f"cost       {len(left)} runs, {predicted_minutes(left, len(slots)):.1f} minutes predicted", flush=True)
+        if not isinstance(plan, CommandPlan):
+            print(f"watch it   kinetix-dist dashboard {shlex.quote(str(path / 'arms'))}", flush=True)
+        train, finish = functools.partial(directory.train, slots), functools.partial(_report, directory)
+        return train_in_time(train, directory.seconds_to_stop(), args.minutes, began, finish)
 
 
-def _report(work: _Work) -> None:
+def _report(directory: AnyDirectory) -> None:
     """Writes the results and prints the paragraph."""
-    files = work.write()
+    files = directory.write()
     text = next(file for file in files if file.suffix == ".md").read_text()
     console().print(text, soft_wrap=True, highlight=False, markup=False)
     print(f"written    {', '.join(map(str, files))}")
 
 
-class _Work(abc.ABC):
-    """A study with its directory: what it takes, how it is begun, what it writes."""
+def _slots(directory: AnyDirectory, requested: int) -> list[Slot]:
+    """Worker slots. Raises UserError where there are none."""
+    from kinetix_dist.study.command_plan import CommandPlan
 
-    plan: Plan | CommandPlan
-    path: Path
-
-    @abc.abstractmethod
-    def slots(self, requested: int) -> list[Slot]:
-        """Worker slots. Raises UserError where there are none."""
-
-    @abc.abstractmethod
-    def seconds_left(self) -> dict[str, float]:
-        """Predicted seconds of each chosen run that is left, by its name."""
-
-    @abc.abstractmethod
-    def seconds_to_stop(self) -> float:
-        """Seconds after which all runs that were stopped have ended."""
-
-    @abc.abstractmethod
-    def begin(self) -> StudyTraining | CommandTraining:
-        """Takes the directory. Raises UserError."""
-
-    @abc.abstractmethod
-    def write(self) -> list[Path]:
-        """Writes the results; returns the files."""
-
-    @abc.abstractmethod
-    def table(self) -> Any:
-        """Arms, for a plan."""
-
-    def lines(self) -> list[str]:
-        """More lines of a plan."""
-        return []
+    plan = directory.plan
+    if isinstance(plan, CommandPlan):
+        return slots_of_machine(requested, OPTION, needs_gpu=plan.study.needs_gpu)
+    return slots_for(plan.runs, requested, OPTION)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Training(_Work):
-    """A study whose arms are trained."""
+def _plan_table(plan: Plan | CommandPlan) -> Any:
+    """Arms of a plan, with the seeds that are chosen."""
+    from kinetix_dist.study.command_plan import CommandPlan
+    from kinetix_dist.study.report import in_millions
 
-    plan: Plan
-    path: Path
-
-    def slots(self, requested: int) -> list[Slot]:
-        return slots_for(self.plan.runs, requested, OPTION)
-
-    def seconds_left(self) -> dict[str, float]:
-        from kinetix_dist.study.cost import seconds_left
-
-        return seconds_left(self.path, self.plan)
-
-    def seconds_to_stop(self) -> float:
-        from kinetix_dist.sweep.training_work import seconds_to_stop
-
-        return seconds_to_stop(self.plan.chosen)
-
-    def begin(self) -> StudyTraining:
-        from kinetix_dist.study.driver import StudyTraining
-
-        return StudyTraining(self.plan, self.path)
-
-    def write(self) -> list[Path]:
-        from kinetix_dist.study.driver import write_results
-
-        return write_results(self.path, self.plan)
-
-    def table(self) -> Any:
-        from kinetix_dist.study.report import in_millions
-
-        study = self.plan.study
-        title = f"{study.name}: {len(self.plan.chosen)} runs of recipe {study.recipe}"
-        steps = {arm.name: {"steps": in_millions(study.env_steps_of(arm.name))} for arm in study.arms}
-        return _arms_table(title, "options", {arm.name: arm.options for arm in study.arms}, _seeds(self.plan), steps)
-
-    def lines(self) -> list[str]:
-        study = self.plan.study
-        return [f"sets       {', '.join(study.sets)}, every {study.every_steps:,} steps"]
-
-
-@dataclasses.dataclass(frozen=True)
-class _Commands(_Work):
-    """A study whose arms are commands."""
-
-    plan: CommandPlan
-    path: Path
-
-    def slots(self, requested: int) -> list[Slot]:
-        return slots_of_machine(requested, OPTION, needs_gpu=self.plan.study.needs_gpu)
-
-    def seconds_left(self) -> dict[str, float]:
-        return self.plan.seconds_left(self.path)
-
-    def seconds_to_stop(self) -> float:
-        from kinetix_dist.study.command_plan import STOP_S
-
-        return STOP_S
-
-    def begin(self) -> CommandTraining:
-        from kinetix_dist.study.command_plan import CommandTraining
-
-        return CommandTraining(self.plan, self.path)
-
-    def write(self) -> list[Path]:
-        from kinetix_dist.study.command_plan import write_command_results
-
-        return write_command_results(self.path, self.plan)
-
-    def table(self) -> Any:
-        study = self.plan.study
-        title = f"{study.name}: {len(self.plan.chosen)} times `kinetix-dist {' '.join(study.command)}`"
-        return _arms_table(title, "values", {arm.name: arm.values for arm in study.arms}, _seeds(self.plan))
+    if isinstance(plan, CommandPlan):
+        title = f"{plan.study.name}: {len(plan.chosen)} times `kinetix-dist {' '.join(plan.study.command)}`"
+        return _arms_table(title, "values", {arm.name: arm.values for arm in plan.study.arms}, _seeds(plan))
+    study = plan.study
+    title = f"{study.name}: {len(plan.chosen)} runs of recipe {study.recipe}"
+    steps = {arm.name: {"steps": in_millions(study.env_steps_of(arm.name))} for arm in study.arms}
+    return _arms_table(title, "options", {arm.name: arm.options for arm in study.arms}, _seeds(plan), steps)
 
 
 def _seeds(plan: Plan | CommandPlan) -> dict[str, list[int]]:

@@ -1,11 +1,13 @@
-"""Arms and seeds of a study that are chosen by name and number, in its file or by an option."""
+"""Arms and seeds of a study that are chosen by name and number, and seeds that lie in a directory of results."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.sweep.design import DesignError
+from kinetix_dist.sweep.results_directory import ARMS
 
 
 def check_arms(chosen: Iterable[str], arms: Sequence[str], problem: str) -> None:
@@ -16,9 +18,16 @@ def check_arms(chosen: Iterable[str], arms: Sequence[str], problem: str) -> None
             raise DesignError(f"{problem.format(name=repr(name))}; {hint}")
 
 
-def number_of_seeds(usual: int, requested: int | None) -> int:
+def seeds_to_run(first: int, usual: int, requested: int | None) -> range:
     """Seeds of each arm; requested: by --seeds, None: as many as the study says. Raises DesignError for none."""
     count = usual if requested is None else requested
     if count < 1:
         raise DesignError(f"--seeds is {count}; give 1 or more")
-    return count
+    return range(first, first + count)
+
+
+def seeds_in(path: Path | None) -> set[int]:
+    """Seeds of the runs ARM-seedN and ARM-seedN-partK in a directory of results; none for None."""
+    folders = [] if path is None else (path / ARMS).glob("*-seed*")
+    ends = [folder.name.rpartition("-seed")[2].partition("-")[0] for folder in folders]
+    return {int(end) for end in ends if end.isdecimal()}

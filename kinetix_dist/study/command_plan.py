@@ -8,25 +8,23 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
 from kinetix_dist.atomic_files import replace_file
-from kinetix_dist.config import to_dict
 from kinetix_dist.errors import user_errors
 from kinetix_dist.studio.runs.run_files import RunFileError, read_object
-from kinetix_dist.study.choice import check_arms, number_of_seeds
+from kinetix_dist.study.choice import check_arms, seeds_in, seeds_to_run
 from kinetix_dist.study.command_file import CommandStudy, words_of
 from kinetix_dist.study.command_results import RESULTS, Row, Written
-from kinetix_dist.study.driver import RESULTS as STUDY_JSON
+from kinetix_dist.study.directory import RESULTS as STUDY_JSON
+from kinetix_dist.study.directory import StudyDirectory
 from kinetix_dist.study.report import wrapped
 from kinetix_dist.study.study_file import NOT_RUN
 from kinetix_dist.study.tables import text_of
 from kinetix_dist.sweep.arms import short_hash
-from kinetix_dist.sweep.results_directory import ARMS, ResultsDirectory, write_json
-from kinetix_dist.sweep.run_loop import Callbacks, RunLoop, RunsFailedError
-from kinetix_dist.sweep.slots import Slot
+from kinetix_dist.sweep.results_directory import ARMS, write_json
 
 DONE = "done.json"
 STOP_S = 60.0  # in which a command ends after SIGTERM
@@ -52,22 +50,21 @@ class CommandPlan:
     chosen: tuple[CommandRun, ...]  # those to be run now
     hash: str
 
-    def seconds_left(self, path: Path) -> dict[str, float]:
-        """Predicted seconds of each chosen run that is not done, by its name."""
-        return {run.name: 60 * self.study.cost.minutes for run in self.chosen if not _is_done(path, run)}
 
-
-def command_plan_of(study: CommandStudy, *, seeds: int | None = None, arms: Collection[str] = ()) -> CommandPlan:
-    """Plan with so many seeds (None: as many as the study says) for the named arms (none: all). Raises DesignError."""
+def command_plan_of(
+    study: CommandStudy, *, seeds: int | None = None, arms: Collection[str] = (), path: Path | None = None
+) -> CommandPlan:
+    """Plan with so many seeds (None: as many as the study says) for the named arms (none: all). Runs that lie in `path`
+    are part of the study, too, so that results never leave them out. Raises DesignError."""
     check_arms(arms, [arm.name for arm in study.arms], f"unknown arm {{name}} of study {study.name}")
-    count = number_of_seeds(study.seeds, seeds)
+    wanted = seeds_to_run(study.first_seed, study.seeds, seeds)
     runs = tuple(
         _run(study, arm.name, {**study.values, **arm.values}, seed, part)
-        for seed in range(study.first_seed, study.first_seed + count)
+        for seed in sorted({*wanted, *seeds_in(path)})
         for arm in study.arms
         for part in range(study.parts)
     )
-    chosen = tuple(run for run in runs if not arms or run.arm in arms)
+    chosen = tuple(run for run in runs if run.seed in wanted and (not arms or run.arm in arms))
     first = [run.command for run in runs if run.seed == study.first_seed]
     return CommandPlan(study=study, runs=runs, chosen=chosen, hash=short_hash([study.name, study.results, first]))
 
@@ -126,30 +123,25 @@ def _seconds(path: Path, run: CommandRun) -> float:
     return float((read_object(path / ARMS / run.name / DONE) or {}).get("seconds", 0.0))
 
 
-class CommandTraining:
-    """Study of commands in one directory. `close` gives the directory back."""
+class CommandStudyDirectory(StudyDirectory[CommandRun]):
+    """Study of commands in a directory."""
 
     def __init__(self, plan: CommandPlan, path: Path) -> None:
-        """Takes the directory. Raises UserError for one of another study, or in use."""
+        super().__init__(plan, path)
         self.plan = plan
-        self.path = path
-        self._directory = ResultsDirectory(path, plan.hash, to_dict(plan.study))
 
-    def close(self) -> None:
-        self._directory.close()
+    def seconds_left(self) -> dict[str, float]:
+        return {run.name: 60 * self.plan.study.cost.minutes for run in self.plan.chosen if not _is_done(self.path, run)}
 
-    def train(
-        self, slots: Sequence[Slot], *, report: Callable[[str], None], must_stop: Callable[[], str | None]
-    ) -> None:
-        """Runs what is left. Raises RunsStoppedError, and RunsFailedError once all others have ended."""
-        callbacks = Callbacks(report=report, must_stop=must_stop, after_run=self.write)
-        work = _CommandWork(self.path)
-        if failures := RunLoop(self.path, work, work, callbacks).train(self.plan.chosen, slots):
-            raise RunsFailedError("; ".join(failures))
+    def seconds_to_stop(self) -> float:
+        return STOP_S
 
     def write(self) -> list[Path]:
-        """Writes the results of what is done; returns the files. Raises UserError where that cannot be."""
         return write_command_results(self.path, self.plan)
+
+    def _work_and_goal(self) -> tuple[_CommandWork, _CommandWork]:
+        work = _CommandWork(self.path)
+        return work, work
 
 
 def write_command_results(path: Path, plan: CommandPlan) -> list[Path]:

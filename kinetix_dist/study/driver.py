@@ -10,15 +10,13 @@ also how the same command goes on where another one stopped.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from kinetix_dist.atomic_files import replace_file
-from kinetix_dist.config import to_dict
 from kinetix_dist.errors import user_errors
-from kinetix_dist.studio.runs.run_files import RunFileError, read_object
-from kinetix_dist.study.cost import trained_minutes
+from kinetix_dist.studio.runs.run_files import RunFileError
+from kinetix_dist.study.cost import seconds_left, trained_minutes
+from kinetix_dist.study.directory import RESULTS, StudyDirectory
 from kinetix_dist.study.forgetting import forgetting, trained_runs
 from kinetix_dist.study.picture import draw
 from kinetix_dist.study.plan import Plan
@@ -28,43 +26,28 @@ from kinetix_dist.study.study_file import FORGETTING, LEARNABILITY, LEVELS
 from kinetix_dist.study.summary import summarise
 from kinetix_dist.study.tables import forgetting_csv, learnability_csv, levels_csv, points_csv, transfer_csv
 from kinetix_dist.sweep.arms import Run
-from kinetix_dist.sweep.results_directory import ResultsDirectory, write_json
-from kinetix_dist.sweep.run_loop import Callbacks, RunLoop, RunsFailedError
-from kinetix_dist.sweep.slots import Slot
-from kinetix_dist.sweep.training_work import TrainingWork
-
-RESULTS = "study.json"
+from kinetix_dist.sweep.results_directory import write_json
+from kinetix_dist.sweep.training_work import TrainingWork, seconds_to_stop
 
 
-class StudyTraining:
-    """Study in one directory. `close` gives the directory back."""
+class TrainingStudyDirectory(StudyDirectory[Run]):
+    """Study whose arms are trained, in a directory."""
 
     def __init__(self, plan: Plan, path: Path) -> None:
-        """Takes the directory. Raises UserError for one of another study, or in use."""
+        super().__init__(plan, path)
         self.plan = plan
-        self.path = path
-        self._directory = ResultsDirectory(path, plan.hash, to_dict(plan.study))
 
-    def close(self) -> None:
-        self._directory.close()
+    def seconds_left(self) -> dict[str, float]:
+        return seconds_left(self.path, self.plan)
 
-    def train(
-        self, slots: Sequence[Slot], *, report: Callable[[str], None], must_stop: Callable[[], str | None]
-    ) -> None:
-        """Trains the chosen runs that are left. must_stop: why it is to end now; None: it goes on.
-
-        Raises RunsStoppedError, and RunsFailedError once all others are trained.
-        """
-        callbacks = Callbacks(report=report, must_stop=must_stop, after_run=self.write)
-        loop = RunLoop(
-            self.path, TrainingWork(self.path, self.plan.study.recipe), _CompleteGoal(self.path, self.plan), callbacks
-        )
-        if failures := loop.train(self.plan.chosen, slots):
-            raise RunsFailedError("; ".join(failures))
+    def seconds_to_stop(self) -> float:
+        return seconds_to_stop(self.plan.chosen)
 
     def write(self) -> list[Path]:
-        """Writes the results from the run directories; returns the files. Raises UserError where that cannot be."""
         return write_results(self.path, self.plan)
+
+    def _work_and_goal(self) -> tuple[TrainingWork, _CompleteGoal]:
+        return TrainingWork(self.path, self.plan.study.recipe), _CompleteGoal(self.path, self.plan)
 
 
 def write_results(path: Path, plan: Plan) -> list[Path]:
@@ -95,11 +78,6 @@ def write_results(path: Path, plan: Plan) -> list[Path]:
     known = {"state": state(plan, summary), "finding": shown, "minutes": round(minutes, 1)}
     write_json(path / RESULTS, {"name": study.name, "hash": plan.hash, **known})
     return [*(path / name for name in texts), picture]
-
-
-def read_results(path: Path) -> dict[str, Any] | None:
-    """{state, finding, minutes} of a directory of results; None where there are none. Raises RunFileError."""
-    return read_object(path / RESULTS)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,11 +11,10 @@ from kinetix_dist.config import ConfigError, TrainConfig, to_dict
 from kinetix_dist.errors import one_line
 from kinetix_dist.evaluation.evaluation_sets import check_evaluation_sets
 from kinetix_dist.recipes import recipe
-from kinetix_dist.study.choice import check_arms, number_of_seeds
+from kinetix_dist.study.choice import check_arms, seeds_in, seeds_to_run
 from kinetix_dist.study.study_file import FORGETTING, Study
 from kinetix_dist.sweep.arms import SET_BY_SWEEP, Arm, Run, check_options, digests_of, make_run, short_hash
 from kinetix_dist.sweep.design import DesignError
-from kinetix_dist.sweep.results_directory import ARMS
 
 # Options that no arm sets, and which field of the study says them instead.
 SET_BY_STUDY = {
@@ -57,13 +56,11 @@ def plan_of(study: Study, *, seeds: int | None = None, arms: Collection[str] = (
     The first seed of all arms comes first, then the next. Raises DesignError for what cannot be run, in one line.
     """
     check_arms(arms, [arm.name for arm in study.arms], f"unknown arm {{name}} of study {study.name}")
-    count = number_of_seeds(study.seeds, seeds)
     base = _base(study)
     first = study.first_seed
-    wanted = range(first, first + count)
-    present = _seeds_in(path) if path is not None else set()
+    wanted = seeds_to_run(first, study.seeds, seeds)
     made = [Arm(name=arm.name, options={**study.options, **arm.options}) for arm in study.arms]
-    runs = [_run(study, base, arm, seed) for seed in sorted({*wanted, *present}) for arm in made]
+    runs = [_run(study, base, arm, seed) for seed in sorted({*wanted, *seeds_in(path)}) for arm in made]
     _check_sets(runs)
     if study.figure.kind == FORGETTING:
         for run in runs:
@@ -78,12 +75,6 @@ def _base(study: Study) -> TrainConfig:
         return recipe(study.recipe)
     except ConfigError as error:
         raise DesignError(one_line(error)) from error
-
-
-def _seeds_in(path: Path) -> set[int]:
-    """Seeds of the runs in a directory of results."""
-    ends = [folder.name.rpartition("-seed")[2] for folder in (path / ARMS).glob("*-seed*")]
-    return {int(end) for end in ends if end.isdecimal()}
 
 
 def _run(study: Study, base: TrainConfig, arm: Arm, seed: int) -> Run:

@@ -9,7 +9,7 @@ import pytest
 from kinetix_dist.cli.main import main
 from kinetix_dist.errors import UserError
 from kinetix_dist.study.command_file import words_of
-from kinetix_dist.study.command_plan import CommandTraining, command_plan_of
+from kinetix_dist.study.command_plan import CommandStudyDirectory, command_plan_of
 from kinetix_dist.study.command_results import RESULTS, Written
 from kinetix_dist.study.library import find_study, read_study
 from kinetix_dist.sweep import run_loop
@@ -74,12 +74,12 @@ def started(monkeypatch):
 
 
 def run(planned, path):
-    training = CommandTraining(planned, path)
-    try:
-        training.train(SLOTS, report=lambda line: None, must_stop=lambda: None)
-    finally:
-        training.write()
-        training.close()
+    directory = CommandStudyDirectory(planned, path)
+    with directory.taken():
+        try:
+            directory.train(SLOTS, report=lambda line: None, must_stop=lambda: None)
+        finally:
+            directory.write()
 
 
 def test_values_stand_in_braces_and_a_list_for_as_many_words(tmp_path):
@@ -98,7 +98,7 @@ def test_parts_are_runs_of_their_own(tmp_path):
 
 def test_all_commands_run_once_and_results_are_written(tmp_path, started):
     planned, path = plan(tmp_path), tmp_path / "out"
-    assert list(planned.seconds_left(path).values()) == [120.0] * 4
+    assert list(CommandStudyDirectory(planned, path).seconds_left().values()) == [120.0] * 4
     run(planned, path)
     assert sorted(words[3] for _, words in started) == ["generalist"] * 2 + ["random_only"] * 2
     assert {slot for slot, _ in started} == {"cpu 0", "cpu 1"}
@@ -110,7 +110,7 @@ def test_all_commands_run_once_and_results_are_written(tmp_path, started):
     assert known["finding"].startswith("correlation of body and goal: good car 0.90")
     started.clear()
     run(planned, path)
-    assert not started and not planned.seconds_left(path)
+    assert not started and not CommandStudyDirectory(planned, path).seconds_left()
 
 
 def test_a_command_that_fails_is_named_and_tried_again(tmp_path, started):
@@ -122,6 +122,17 @@ def test_a_command_that_fails_is_named_and_tried_again(tmp_path, started):
     with pytest.raises(RunsFailedError):
         run(planned, path)
     assert [words[3] for _, words in started] == ["broken"]
+
+
+def test_fewer_seeds_leave_no_results_out(tmp_path, started):
+    path = tmp_path / "out"
+    run(plan(tmp_path), path)
+    written = (path / "mine.csv").read_text()
+    planned = plan(tmp_path, seeds=1, path=path)
+    assert [one.name for one in planned.chosen] == ["good-seed0", "bad-seed0"] and len(planned.runs) == 4
+    assert planned.hash == plan(tmp_path).hash
+    run(planned, path)
+    assert (path / "mine.csv").read_text() == written and "4 of 4 runs" in (path / "mine.md").read_text()
 
 
 def test_another_command_is_another_design(tmp_path, started):

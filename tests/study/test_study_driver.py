@@ -12,7 +12,7 @@ from PIL import Image
 from kinetix_dist.cli.main import main
 from kinetix_dist.errors import UserError
 from kinetix_dist.study.cost import seconds_left
-from kinetix_dist.study.driver import StudyTraining, write_results
+from kinetix_dist.study.driver import TrainingStudyDirectory, write_results
 from kinetix_dist.sweep.run_loop import RunsFailedError, RunsStoppedError
 from kinetix_dist.sweep.slots import Slot
 from tests.study.studies import OWN_LENGTH, TEXT, plan, trained, write
@@ -35,12 +35,12 @@ def train(tmp_path, facts, must_stop=lambda: None, content=TEXT, **choices):
     path = tmp_path / "out"
     planned = plan(tmp_path, content, path=path, **choices)
     facts["hashes"] = {run.name: run.config.hash for run in planned.runs}
-    training = StudyTraining(planned, path)
-    try:
-        training.train(SLOTS, report=lambda line: None, must_stop=must_stop)
-    finally:
-        training.write()
-        training.close()
+    directory = TrainingStudyDirectory(planned, path)
+    with directory.taken():
+        try:
+            directory.train(SLOTS, report=lambda line: None, must_stop=must_stop)
+        finally:
+            directory.write()
     return planned
 
 
