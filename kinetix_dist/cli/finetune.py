@@ -45,6 +45,8 @@ USAGE = f"""usage: {PROG} --levels SET [--from CKPT] [--each [--compare]] [optio
   --compare       with --each and --from: specialists from scratch too
   --part K/N      with --each: every N-th level alone, the K-th of them first; K from 0 to N - 1. Parts have directories
                   of their own, so that several GPUs or machines share a level set
+  --together N    with --each: N specialists at a time in one program (default 1); they come out as they do alone, and
+                  sooner on a GPU that one does not fill
   --stop-at RATE  with --each: a specialist ends at the first evaluation that solves this share (default: none)
   --gif FILE      with --each: a moving picture, each level before training on it and after
   --draw DIR      only draw the picture again, from the results stored there; with --gif, the moving one too
@@ -62,6 +64,7 @@ class Args:
     has_size: bool = False  # whether env.size was given
     stop_at: float = 0.0
     part: tuple[int, int] = (0, 1)  # which of how many shares of the levels
+    together: int = 1  # specialists at a time
     draw: Path | None = None
     gif: Path | None = None
     go_on: str = "the same command goes on"  # ends the line that is printed where the command is stopped
@@ -76,6 +79,7 @@ def parse(argv: Sequence[str]) -> Args:
     own.add_argument("--compare", action="store_true")
     own.add_argument("--stop-at", type=float)
     own.add_argument("--part")
+    own.add_argument("--together", type=int)
     own.add_argument("--draw", type=Path)
     own.add_argument("--gif", type=Path)
     try:
@@ -129,6 +133,7 @@ def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
         has_size=has_size,
         stop_at=known.stop_at or 0.0,
         part=(0, 1) if known.part is None else _part_of(known.part),
+        together=known.together or 1,
         gif=known.gif,
     )
 
@@ -150,6 +155,10 @@ def _check(known: argparse.Namespace) -> None:
         raise UserError("--compare puts specialists from scratch next to those of a policy; give --each and --from too")
     if known.part is not None and not known.each:
         raise UserError("--part is a share of the specialists; give --each too")
+    if known.together is not None and not known.each:
+        raise UserError("--together is how many specialists train at a time; give --each too")
+    if known.together is not None and known.together < 1:
+        raise UserError(f"--together is {known.together}; give 1 or more")
     if known.stop_at is not None and not known.each:
         raise UserError("--stop-at is when a specialist ends; give --each too")
     if known.stop_at is not None and not 0.0 < known.stop_at <= 1.0:
@@ -216,7 +225,15 @@ def _each(args: Args, config: TrainConfig) -> int:
         print(config.cut_episodes, flush=True)
     with StopSignals(limit_s=config.run.stop_seconds, hint="; the same command goes on") as stop:
         try:
-            train_each(config, args.starts, path, stop_at=args.stop_at, part=args.part, report=_print_line)
+            train_each(
+                config,
+                args.starts,
+                path,
+                stop_at=args.stop_at,
+                part=args.part,
+                together=args.together,
+                report=_print_line,
+            )
         except StopRequested:
             say(f"kinetix-dist: stopped by {stop.requested}; {args.go_on}", sys.stderr)
             return EXIT_STOPPED

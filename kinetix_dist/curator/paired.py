@@ -34,52 +34,9 @@ from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposa
 from kinetix_dist.curator.scores import highest_return, solve_rate
 from kinetix_dist.curator.teacher import Teacher
 from kinetix_dist.messages import LevelOutcome, Trajectory
+from kinetix_dist.models.several_policies import SeveralPolicies, joined_shares, share_of
 
-
-@dataclasses.dataclass(frozen=True)
-class TwoStudents:
-    """A policy, as rollouts take it, of which each half of a group has parameters of its own."""
-
-    policy: Any  # a flax module
-    worlds_per_group: int
-
-    @property
-    def memory_size(self) -> int:
-        return self.policy.memory_size
-
-    def apply(self, params: tuple[Any, Any], *seen: Any) -> Any:
-        """Outputs, values and next memory if one is given, [W, ...]. params: of both students; seen: obs, memory."""
-        outputs = [
-            self.policy.apply(own, *(worlds_of(x, i, self.worlds_per_group) for x in seen))
-            for i, own in enumerate(params)
-        ]
-        return in_groups(*outputs, self.worlds_per_group)
-
-
-def worlds_of(tree: Any, student: int, worlds_per_group: int) -> Any:
-    """[W, ...] -> [W / 2, ...]: those of student 0 or 1."""
-    half = worlds_per_group // 2
-
-    def of(x: Any) -> Any:
-        num_groups = x.shape[0] // worlds_per_group
-        return x.reshape(num_groups, 2, half, *x.shape[1:])[:, student].reshape(num_groups * half, *x.shape[1:])
-
-    return jax.tree.map(of, tree)
-
-
-def in_groups(first: Any, second: Any, worlds_per_group: int) -> Any:
-    """The inverse: what both have, [W / 2, ...] each, as [W, ...]."""
-    half = worlds_per_group // 2
-
-    def join(a: Any, b: Any) -> Any:
-        num_groups = a.shape[0] // half
-        both = jnp.stack([x.reshape(num_groups, half, *x.shape[1:]) for x in (a, b)], axis=1)
-        return both.reshape(num_groups * worlds_per_group, *a.shape[1:])
-
-    return jax.tree.map(join, first, second)
-
-
-PROTAGONIST, ANTAGONIST = range(2)
+PROTAGONIST, ANTAGONIST = STUDENTS = range(2)
 METRICS = (
     "regret",
     "protagonist_return",
@@ -141,8 +98,9 @@ class Paired(Curriculum):
         unknown = {name: jnp.full((), jnp.nan, jnp.float32) for name in METRICS}
         return PairedState(teacher=self._teacher.init(), antagonist=self._antagonist.init(), seen=unknown)
 
-    def players(self, policy: Any, params: Any, state: PairedState) -> tuple[TwoStudents, Any]:
-        return TwoStudents(policy, self.tools.worlds_per_group), (params, state.antagonist.params)
+    def players(self, policy: Any, params: Any, state: PairedState) -> tuple[SeveralPolicies, Any]:
+        both = SeveralPolicies(policy, len(STUDENTS), self.tools.worlds_per_group)
+        return both, (params, state.antagonist.params)
 
     def propose(self, state: PairedState, group_keys: Array, groups: Array) -> Proposal:
         del groups
@@ -150,11 +108,11 @@ class Paired(Curriculum):
         keys = jax.vmap(lambda key: prng.split(key, half))(group_keys).reshape(-1)
         levels, trajectory = self._teacher.build(state.teacher.params, keys)
         size = self.tools.worlds_per_group
-        players = (jnp.full(keys.size, student, jnp.int32) for student in (PROTAGONIST, ANTAGONIST))
+        players = [jnp.full(keys.size, student, jnp.int32) for student in STUDENTS]
         return Proposal(
-            levels=in_groups(levels, levels, size),
+            levels=joined_shares([levels] * len(STUDENTS), size),
             tags=_swap_time_and_worlds(trajectory),
-            source=in_groups(*players, size),
+            source=joined_shares(players, size),
         )
 
     def summarise(self, trajectory: Trajectory, last_value: Array) -> PairedSummary:
@@ -195,7 +153,7 @@ class Paired(Curriculum):
         return {f"curriculum/{name}": state.seen[name] for name in METRICS}
 
     def _of(self, student: int, tree: Any) -> Any:
-        return worlds_of(tree, student, self.tools.worlds_per_group)
+        return share_of(tree, student, len(STUDENTS), self.tools.worlds_per_group)
 
 
 def _swap_time_and_worlds(tree: Any) -> Any:

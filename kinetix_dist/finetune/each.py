@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -28,13 +29,14 @@ def train_each(
     *,
     stop_at: float = 0.0,
     part: tuple[int, int] = (0, 1),
+    together: int = 1,
     report: Callable[[str], None] = lambda line: None,
 ) -> None:
     """Trains what the results directory at `path` does not hold yet: each level of `config.curriculum.levels`.
 
-    part: (k, n): only levels k, k + n, k + 2 n, ... report: gets a line for a person about each specialist. Raises
-    UserError, before anything is computed for long, for levels and starts that do not fit, and for a directory of
-    another design.
+    part: (k, n): only levels k, k + n, k + 2 n, ... together: specialists at a time, stored when all have ended.
+    report: gets a line for a person about each. Raises UserError, before anything is computed for long, for levels and
+    starts that do not fit, and for a directory of another design.
     """
     config = _alone(config)
     with user_errors(ValueError, OSError):
@@ -51,20 +53,30 @@ def train_each(
             report(f"{num_done} of {len(own) * len(starts)} specialists are there already")
         if not todo:
             return
+        size = even_size(len(todo), together)
         with user_errors(ValueError):
-            specialists = Specialists(config, stop_at=stop_at)
-            number, start = todo[0]
-            seconds = specialists.compile(_one(levels, number), arrays[start.name])
+            specialists = Specialists(config, stop_at=stop_at, together=size)
+            first = _filled(todo[:size], size)
+            seconds = specialists.compile(_levels_of(first, levels), [arrays[start.name] for _, start in first])
         report(f"compiled in {seconds:.0f} s, once for all specialists")
-        for turn, (number, start) in enumerate(todo):
-            name, began = names[number], time.monotonic()
-            progress = _Progress(config, f"{turn + 1}/{len(todo)} {name} {start.label}")
+        for turn in range(0, len(todo), size):
+            now = todo[turn : turn + size]
+            filled, began = _filled(now, size), time.monotonic()
+            first_name, start = names[now[0][0]], now[0][1]
+            more = f" and {len(now) - 1} more" if len(now) > 1 else f" {start.label}"
+            progress = _Progress(config, f"{turn + 1}/{len(todo)} {first_name}{more}", size)
             try:
-                specialist = specialists.train(_one(levels, number), arrays[start.name], on_update=progress.update)
+                trained = specialists.train(
+                    _levels_of(filled, levels),
+                    [arrays[start.name] for _, start in filled],
+                    on_update=progress.update,
+                )
             finally:
                 progress.close()
-            record = results.add(start, name, specialist, _starting(config, start))
-            report(f"{turn + 1}/{len(todo)}  {summary(record)}, {time.monotonic() - began:.0f} s")
+            seconds = (time.monotonic() - began) / len(now)
+            for i, ((number, start), specialist) in enumerate(zip(now, trained)):
+                record = results.add(start, names[number], specialist, _starting(config, start))
+                report(f"{turn + i + 1}/{len(todo)}  {summary(record)}, {seconds:.0f} s")
     finally:
         results.close()
 
@@ -83,15 +95,16 @@ def summary(record: Record) -> str:
 class _Progress:
     """One line of progress, written over."""
 
-    def __init__(self, config: TrainConfig, phase: str) -> None:
+    def __init__(self, config: TrainConfig, phase: str, together: int) -> None:
         self._steps_per_update = config.rollout.steps_per_update
+        self._together = together
         self._began = time.monotonic()
         self._sink = ConsoleSink(total_env_steps=config.run.total_env_steps or None)
         self._sink.set_phase(phase)
 
     def update(self, number: int, metrics: Mapping[str, float]) -> None:
         env_steps = number * self._steps_per_update
-        speed = env_steps / max(time.monotonic() - self._began, 1e-9)
+        speed = self._together * env_steps / max(time.monotonic() - self._began, 1e-9)
         self._sink.write(
             number,
             {
@@ -129,6 +142,20 @@ def _starting(config: TrainConfig, start: Start) -> TrainConfig:
     return dataclasses.replace(config, run=dataclasses.replace(config.run, start_from=start.checkpoint))
 
 
-def _one(levels: Level, number: int) -> Level:
-    """[1, ...]"""
-    return jax.tree.map(lambda x: np.asarray(x)[number : number + 1], levels)
+Todo = tuple[int, Start]  # number of a level, and what its specialist starts from
+
+
+def even_size(count: int, limit: int) -> int:
+    """Size of batches of `count` things, at most `limit` each, of which the last is the least short of the others."""
+    return math.ceil(count / math.ceil(count / limit))
+
+
+def _filled(now: Sequence[Todo], size: int) -> list[Todo]:
+    """As many as one program trains: the last once more where there are fewer."""
+    return [*now, *[now[-1]] * (size - len(now))]
+
+
+def _levels_of(todo: Sequence[Todo], levels: Level) -> Level:
+    """[todo, ...]"""
+    numbers = np.array([number for number, _ in todo])
+    return jax.tree.map(lambda x: np.asarray(x)[numbers], levels)

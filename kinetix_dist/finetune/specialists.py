@@ -1,12 +1,11 @@
-"""Training on one level after another with one set of compiled programs.
+"""Training on one level after another, or on several at once, with one set of compiled programs.
 
-    Specialists(config)                    builds the programs: rollout, update, evaluation
-    .compile(level, start)                 compiles them, on one level
-    .train(level, start) -> Specialist      trains afresh on a level; nothing is compiled again
+    Specialists(config)                         builds the programs: rollout, update, evaluation
+    .compile(levels, starts)                    compiles them, on one level each
+    .train(levels, starts) -> [Specialist]      trains afresh on these; nothing is compiled again
 
-Levels are the state of the curriculum `fixed`, an argument of the program that plays, and so are parameters: programs
-depend on the size of levels alone. Specialists are trained one after another: several at once by
-`jax.vmap` are slower on a CPU (docs/lab_log.md).
+Levels are the state of a curriculum, an argument of the program that plays, and so are parameters: programs depend on
+the size of levels and on how many there are alone. Several at once play in one program, and learn one after another.
 """
 
 from __future__ import annotations
@@ -14,29 +13,25 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from kinetix_dist import prng
 from kinetix_dist.checkpoint.manifest import MANIFEST_NAME
 from kinetix_dist.config import ConfigError, TrainConfig
 from kinetix_dist.errors import UserError
-from kinetix_dist.evaluation.evaluate import evaluate
-from kinetix_dist.evaluation.policies import NetworkPolicy, Player
+from kinetix_dist.finetune.joint_rollout import JointRollout
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate
+from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.level.level import Level
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.program_cache import compile_seconds, count_compile_seconds
 from kinetix_dist.runtime import (
-    EVALUATION_STREAM,
     LearnerCore,
     Players,
-    RolloutCore,
-    check_memory,
     is_over,
     make_curriculum,
     make_environment,
@@ -135,116 +130,128 @@ class Specialist:
 
 
 class Specialists:
-    """Trains on single levels of the set `config.curriculum.levels`, one after another, on one device.
+    """Trains on single levels, `together` of them at a time in one program, on one device.
 
     A specialist ends as a run does, after `run.total_env_steps` or `run.max_seconds`, or at the first evaluation
     whose solve rate is `stop_at` (0: none). Evaluations are every `evaluation.every` updates and at the end.
     Raises ValueError, DeviceMemoryError for what cannot run.
     """
 
-    def __init__(self, config: TrainConfig, *, stop_at: float = 0.0) -> None:
+    def __init__(self, config: TrainConfig, *, stop_at: float = 0.0, together: int = 1) -> None:
         if config.rollout.reset_every > 1:
             raise ConfigError(
                 f"rollout.reset_every is {config.rollout.reset_every}; specialists play their level from its start in "
                 "every update: set it to 1"
             )
-        check_memory(config, 1)
         count_compile_seconds()
         self._config = config
         self._stop_at = stop_at
         self._mesh = data_mesh(jax.local_devices()[:1])
-        self._env = make_environment(config)
-        policy = make_policy(config.policy, self._env.action_distribution.head_sizes)
-        curriculum = make_curriculum(config, self._env, policy, self._mesh)
-        self._learner = LearnerCore(config, self._env, policy, self._mesh)
-        self._rollout = RolloutCore(
-            config,
-            Players(self._env, policy, curriculum),
-            self._mesh,
-            groups=range(config.rollout.num_groups),
-            division=self._learner.division,
-        )
-        self._network = NetworkPolicy(policy, self._env.action_distribution)
+        env = make_environment(config)
+        policy = make_policy(config.policy, env.action_distribution.head_sizes)
+        curriculum = make_curriculum(config, env, policy, self._mesh)
+        self._learner = LearnerCore(config, env, policy, self._mesh)
+        self._rollout = JointRollout(config, Players(env, policy, curriculum), self._mesh, together)
 
-    def compile(self, level: Level, start: Arrays | None) -> float:
+    def compile(self, levels: Level, starts: Sequence[Arrays | None]) -> float:
         """Plays, learns and evaluates once, so that clocks of specialists hold no compilation; s it took."""
         began = time.monotonic()
-        self._learner.start(start)
-        state = replicate(level, self._mesh)
+        states, levels = self._begun(starts), replicate(levels, self._mesh)
         for update in range(2):  # what the second is given lies where the first left it
-            self._update(state, update)
-        self._evaluate(level, 0)
+            self._update(states, levels, update, range(len(states)))
+        self._evaluate(states, levels, 0)
         return time.monotonic() - began
 
     def train(
         self,
-        level: Level,
-        start: Arrays | None,
+        levels: Level,
+        starts: Sequence[Arrays | None],
         *,
         on_update: Callable[[int, Mapping[str, float]], None] = lambda number, metrics: None,
-    ) -> Specialist:
-        """A specialist for `level` ([1, ...] on every field).
+    ) -> list[Specialist]:
+        """A specialist for each of `levels` ([together, ...] on every field).
 
-        start: parameters as `starting_point` gives them; None: from the seed. on_update: called with the number of
-        updates done and the metrics of the last.
+        starts: parameters of each as `starting_point` gives them; None: from the seed. on_update: called with the
+        number of updates done and the metrics of what was played in the last. Seconds of all are shared out equally.
         """
         compiled_before = compile_seconds()
-        self._learner.start(start)
-        state = replicate(level, self._mesh)
+        states, levels = self._begun(starts), replicate(levels, self._mesh)
+        count = len(states)
         training = evaluation = 0.0
-        skipped = 0
+        skipped = [0] * count
 
-        def evaluated(update: int) -> Point:
+        def evaluated(update: int) -> list[Point]:
             nonlocal evaluation
             began = time.monotonic()
-            point = self._evaluate(level, update)
-            evaluation += time.monotonic() - began
-            return point
+            points = self._evaluate(states, levels, update)
+            evaluation += (time.monotonic() - began) / count
+            return points
 
-        points = [evaluated(0)]
+        curves = [[point] for point in evaluated(0)]
         update = 0
-        while not self._is_over(update, training) and not self._is_good(points[-1]):
+        while not self._is_over(update, training):
+            learning = [i for i, curve in enumerate(curves) if not self._is_good(curve[-1])]
+            if not learning:
+                break
             began = time.monotonic()
-            metrics = self._update(state, update)
-            training += time.monotonic() - began
+            metrics, own_skipped = self._update(states, levels, update, learning)
+            training += (time.monotonic() - began) / count
             update += 1
-            skipped += int(metrics["learner/skipped_steps"])
+            for i, steps in zip(learning, own_skipped, strict=True):
+                skipped[i] += steps
             on_update(update, metrics)
             if update % self._config.evaluation.every == 0 or self._is_over(update, training):
-                points.append(evaluated(update))
-        return Specialist(
-            points=tuple(points),
-            params=local_values(self._learner.released),
-            training_seconds=training,
-            evaluation_seconds=evaluation,
-            compile_seconds=compile_seconds() - compiled_before,
-            skipped_steps=skipped,
-        )
+                points = evaluated(update)
+                for i in learning:
+                    curves[i].append(points[i])
+        seconds = compile_seconds() - compiled_before
+        return [
+            Specialist(
+                points=tuple(curve),
+                params=local_values(state.released),
+                training_seconds=training,
+                evaluation_seconds=evaluation,
+                compile_seconds=seconds,
+                skipped_steps=own_skipped,
+            )
+            for curve, state, own_skipped in zip(curves, states, skipped, strict=True)
+        ]
 
-    def _update(self, state: Any, number: int) -> dict[str, float]:
-        batch, _, sums, _ = self._rollout.play(self._learner.params, state, number)
-        metrics = self._learner.learn(*batch, env_steps=self._env_steps(number))
-        return training_metrics(
+    def _begun(self, starts: Sequence[Arrays | None]) -> list[LearnerState]:
+        if len(starts) != self._rollout.num_specialists:
+            raise ValueError(f"{len(starts)} starts for {self._rollout.num_specialists} specialists")
+        return [self._learner.started(start) for start in starts]
+
+    def _update(
+        self, states: list[LearnerState], levels: Level, number: int, learning: Sequence[int]
+    ) -> tuple[dict[str, float], list[int]]:
+        """(metrics of what all played, gradient steps left out by each that is `learning`), and the next states."""
+        batches, sums = self._rollout.play([state.params for state in states], levels, number)
+        skipped = []
+        for i in learning:
+            states[i], metrics = self._learner.learned(states[i], *batches[i], env_steps=self._env_steps(number))
+            skipped.append(metrics["skipped_steps"])
+        played = training_metrics(
             local_values(sums),
-            local_values(metrics),
+            {},
             frame_skip=self._config.env.frame_skip,
             sources=self._config.curriculum_class.sources,
         )
+        return played, [int(steps) for steps in skipped]
 
-    def _evaluate(self, level: Level, update: int) -> Point:
-        """Levels, attempts and keys are the same every time, so that evaluations are paired."""
-        player = Player(self._network, jax.device_put(local_values(self._learner.released)))
-        key, attempts = prng.key(EVALUATION_STREAM), self._config.evaluation.attempts_of(1)
-        rates = evaluate(self._env, player, level, attempts=attempts, key=key)
-        return Point(
-            updates=update, env_steps=self._env_steps(update), solved=rates.total.solved, attempts=rates.attempts
-        )
+    def _evaluate(self, states: Sequence[LearnerState], levels: Level, update: int) -> list[Point]:
+        attempts = self._config.evaluation.attempts_of(1)
+        found = self._rollout.evaluate([state.released for state in states], levels, attempts)
+        return [
+            Point(updates=update, env_steps=self._env_steps(update), solved=solved, attempts=attempts)
+            for solved, attempts in found
+        ]
 
     def _is_over(self, update: int, training_seconds: float) -> bool:
         return is_over(self._config.run, env_steps=self._env_steps(update), training_seconds=training_seconds)
 
     def _env_steps(self, num_updates: int) -> int:
-        """Played in so many updates."""
+        """Played by a specialist in so many updates."""
         return num_updates * self._config.rollout.steps_per_update
 
     def _is_good(self, point: Point) -> bool:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from kinetix_dist.runtime.cores.evaluator import EVALUATION_STREAM
     from kinetix_dist.runtime.cores.learner_core import LearnerCore
     from kinetix_dist.runtime.cores.playing import check_memory, make_environment
-    from kinetix_dist.runtime.cores.rollout_core import Players, RolloutCore
+    from kinetix_dist.runtime.cores.rollout_core import Batch, Players, RolloutCore
     from kinetix_dist.runtime.cores.update_metrics import training_metrics
     from kinetix_dist.runtime.driver.checkpoints import finished_report, starting_point
     from kinetix_dist.runtime.driver.run_directory import (
@@ -92,6 +92,7 @@ _MODULE_OF = {
     "make_environment": "cores.playing",
     "check_memory": "cores.playing",
     "make_curriculum": "cores.curriculum_state",
+    "Batch": "cores.rollout_core",
     "Players": "cores.rollout_core",
     "RolloutCore": "cores.rollout_core",
     "LearnerCore": "cores.learner_core",
@@ -103,6 +104,7 @@ __all__ = [
     "EVALUATION_STREAM",
     "EXIT_STOPPED",
     "LOCK_NAME",
+    "Batch",
     "LearnerCore",
     "PlacementError",
     "Players",

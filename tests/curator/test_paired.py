@@ -12,10 +12,11 @@ from kinetix_dist.actors.outcomes import no_outcomes
 from kinetix_dist.config import ConfigError
 from kinetix_dist.curator.config import CurriculumConfig, PairedConfig
 from kinetix_dist.curator.curricula import curriculum_class
-from kinetix_dist.curator.paired import PairedSummary, TwoStudents, in_groups, worlds_of
+from kinetix_dist.curator.paired import PairedSummary
 from kinetix_dist.learner.sharding import data_mesh, replicate
 from kinetix_dist.level.level import SIZES, Role
 from kinetix_dist.messages import Trajectory
+from kinetix_dist.models.several_policies import SeveralPolicies, joined_shares, share_of
 from kinetix_dist.runtime.cores.curriculum_state import PpoAgents
 from tests.curator.made import curriculum_of
 from tests.runtime.runs import tiny_config
@@ -148,7 +149,7 @@ def test_regret_is_what_the_antagonist_got_more_on_the_same_level(antagonist_ret
 
 def test_both_students_play_the_same_levels_and_no_two_levels_are_alike():
     levels = _compiled()[1](_start(), ALL_GROUPS).levels
-    ours, theirs = (worlds_of(levels, student, PER_GROUP) for student in (0, 1))
+    ours, theirs = (share_of(levels, student, 2, PER_GROUP) for student in (0, 1))
     jax.tree.map(np.testing.assert_array_equal, ours, theirs)
     assert len(np.unique(np.asarray(ours.position).reshape(NUM_LEVELS, -1), axis=0)) == NUM_LEVELS
 
@@ -178,11 +179,11 @@ def test_each_student_acts_with_its_own_parameters():
             return (obs * params,), obs[:, 0] + params
 
     obs = jnp.arange(16.0).reshape(8, 2)
-    (outputs,), values = TwoStudents(Policy(), 4).apply((10.0, -1.0), obs)
+    (outputs,), values = SeveralPolicies(Policy(), 2, 4).apply((10.0, -1.0), obs)
     own = np.array([10.0, 10.0, -1.0, -1.0] * 2)
     np.testing.assert_array_equal(outputs, obs * own[:, None])
     np.testing.assert_array_equal(values, obs[:, 0] + own)
-    np.testing.assert_array_equal(in_groups(*(worlds_of(obs, i, 4) for i in (0, 1)), 4), obs)
+    np.testing.assert_array_equal(joined_shares([share_of(obs, i, 2, 4) for i in (0, 1)], 4), obs)
 
 
 def _config(num_steps=8, max_steps=8, **curriculum):

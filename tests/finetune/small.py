@@ -49,8 +49,8 @@ def config_of(levels: Path, **sections) -> TrainConfig:
 
 
 @functools.cache
-def shared_specialists(config: TrainConfig, *, stop_at: float = 0.0) -> Specialists:
-    return Specialists(config, stop_at=stop_at)
+def shared_specialists(config: TrainConfig, *, stop_at: float = 0.0, together: int = 1) -> Specialists:
+    return Specialists(config, stop_at=stop_at, together=together)
 
 
 def write_policy(to: Path, config: TrainConfig) -> Path:

@@ -10,6 +10,7 @@ import pytest
 from kinetix_dist.cli import finetune
 from kinetix_dist.cli.main import main
 from kinetix_dist.env.env_config import EnvConfig
+from kinetix_dist.finetune.each import even_size
 from kinetix_dist.finetune.specialists import policy_at, start_from
 from kinetix_dist.models.policy import PolicyConfig
 from tests.finetune.small import NAMES, OPTIONS, config_of, level_directory, write_policy
@@ -93,6 +94,7 @@ def _refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (("--levels", "designed_s", "--resume"), "--resume goes on with a run as it is"),
         (("--levels", "designed_s", "--each", "--part", "4/4"), "--part is '4/4'; give K/N"),
         (("--levels", "designed_s", "--each", "--part", "half"), "--part is 'half'; give K/N"),
+        (("--levels", "designed_s", "--each", "--together", "0"), "--together is 0; give 1 or more"),
         (("--draw", "nowhere", "--levels", "designed_s"), "--draw takes the directory of the results"),
     ],
 )
@@ -168,3 +170,13 @@ def test_parts_train_all_levels_between_them(levels: Path, tmp_path: Path) -> No
         ]
         assert main(command) == 0
         assert [file.stem for file in results.glob("scratch/*.json")] == [name]
+
+
+def test_together_is_of_specialists(capsys: pytest.CaptureFixture[str]) -> None:
+    line = _refusal(capsys, "--levels", "designed_s", "--together", "2")
+    assert line.endswith("--together is how many specialists train at a time; give --each too")
+
+
+@pytest.mark.parametrize(("count", "limit", "size"), [(1, 8, 1), (8, 8, 8), (9, 8, 5), (10, 4, 4), (40, 16, 14)])
+def test_batches_are_as_even_as_they_can_be(count: int, limit: int, size: int) -> None:
+    assert even_size(count, limit) == size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import signal
@@ -16,7 +17,9 @@ from kinetix_dist.finetune import each
 from kinetix_dist.finetune.results import ResultsDirectory
 from kinetix_dist.finetune.specialists import Specialist
 from kinetix_dist.learner.sharding import data_mesh, local_values
+from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.runtime import starting_point
 from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED
 from tests.finetune.small import (
@@ -40,9 +43,9 @@ def specialists(directory: Path) -> dict[str, Specialist]:
     """Specialists by level, and "again": the first level after the others."""
     trainer = shared_specialists(config_of(directory))
     levels = {name: load_level_set(str(directory / f"{name}.json"), "s")[0] for name in NAMES}
-    trainer.compile(levels[NAMES[0]], None)
+    trainer.compile(levels[NAMES[0]], [None])
     order = {**{name: name for name in NAMES}, "again": NAMES[0]}
-    return {label: trainer.train(levels[name], None) for label, name in order.items()}
+    return {label: trainer.train(levels[name], [None])[0] for label, name in order.items()}
 
 
 def _params(specialist: Specialist) -> list[np.ndarray]:
@@ -71,6 +74,59 @@ def test_a_specialist_is_what_a_run_on_its_level_gives(specialists: dict[str, Sp
     expected = jax.tree.leaves(local_values(worker.released()))
     for ours, theirs in zip(_params(specialists[NAMES[1]]), expected, strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+SOLVED = ("random_s_86", "random_s_130", "random_s_17")  # sometimes, seldom and always, by random actions
+
+
+@pytest.fixture(scope="module")
+def solved_levels() -> Level:
+    levels, names = load_level_set("random_s", "s")
+    return jax.tree.map(lambda x: np.asarray(x)[[names.index(name) for name in SOLVED]], levels)
+
+
+@pytest.fixture(scope="module")
+def together(directory: Path, solved_levels: Level) -> list[Specialist]:
+    """Specialists that were trained in one program."""
+    return shared_specialists(config_of(directory), together=3).train(solved_levels, [None, None, None])
+
+
+def test_specialists_are_the_same_alone_and_together(
+    directory: Path, together: list[Specialist], solved_levels: Level
+) -> None:
+    trainer = shared_specialists(config_of(directory))
+    assert len({own.points for own in together}) == 3
+    for i, ours in enumerate(together):
+        (alone,) = trainer.train(jax.tree.map(lambda x, i=i: x[i : i + 1], solved_levels), [None])
+        assert ours.points == alone.points
+        for a, b in zip(_params(ours), _params(alone), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.long
+def test_those_together_have_each_their_own_start(
+    directory: Path, together: list[Specialist], solved_levels: Level, tmp_path: Path
+) -> None:
+    config = config_of(directory)
+    policy = write_policy(tmp_path / "other", config)
+    start = starting_point(dataclasses.replace(config, run=dataclasses.replace(config.run, start_from=str(policy))))
+    twice = jax.tree.map(lambda x: x[[0, 0, 1]], solved_levels)
+    first, other, third = shared_specialists(config, together=3).train(twice, [None, start.arrays, None])
+    for ours, theirs in ((first, together[0]), (third, together[1])):
+        assert all(np.array_equal(a, b) for a, b in zip(_params(ours), _params(theirs), strict=True))
+    assert not any(np.array_equal(a, b) for a, b in zip(_params(first), _params(other)) if a.ndim > 1)
+
+
+@pytest.mark.long
+def test_one_that_is_good_enough_learns_no_more_and_the_others_go_on(
+    directory: Path, together: list[Specialist], solved_levels: Level
+) -> None:
+    assert together[2].points[0].rate == 1.0 and max(point.rate for point in together[1].points) < 1.0
+    trainer = shared_specialists(config_of(directory), stop_at=1.0, together=3)
+    _, second, third = trainer.train(solved_levels, [None, None, None])
+    assert third.points == together[2].points[:1] and second.points == together[1].points
+    assert all(np.array_equal(a, b) for a, b in zip(_params(second), _params(together[1]), strict=True))
+    assert any(not np.array_equal(a, b) for a, b in zip(_params(third), _params(together[2]), strict=True))
 
 
 def test_evaluations_come_before_training_every_second_update_and_at_the_end(
@@ -131,3 +187,24 @@ def test_an_interrupted_command_goes_on_and_a_second_start_gives_one_picture(
 
     assert main(["finetune", "--draw", str(out)]) == 0
     assert "from policy" in capsys.readouterr().out
+
+
+@pytest.mark.long
+def test_a_command_trains_what_is_left_together(
+    specialists: dict[str, Specialist], directory: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of three specialists one is there already; the two of a policy and one from scratch share a program."""
+    policy = write_policy(tmp_path / "policy", config_of(directory))
+    out = tmp_path / "out"
+    command = ["finetune", "--levels", str(directory), "--each", *OPTIONS, "--run", str(out)]
+    assert main([*command, "--part", "0/2"]) == 0
+    before = _records(out)
+    assert main([*command, "--from", str(policy), "--compare", "--together", "8"]) == 0
+    assert "1 of 4 specialists are there already" in capsys.readouterr().out
+    records = _records(out)
+    assert set(records) == {f"{start}/{name}" for start in ("scratch", "policy") for name in NAMES}
+    assert records.items() >= before.items()
+    for name in NAMES:
+        curve = [point["solved"] for point in records[f"scratch/{name}"]["curve"]]
+        assert curve == [point.solved for point in specialists[name].points]
+    assert records[f"policy/{NAMES[1]}"]["from"]["policy_updates"] == 7

@@ -12,7 +12,6 @@ from flax import linen as nn
 
 from jax2d.scene import stack_worlds
 from kinetix_dist.actors.unroll import Played, Worlds, unroll
-from kinetix_dist.curator.paired import TwoStudents
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.evaluation.policies import NetworkPolicy, act, first_memory
 from kinetix_dist.learner.config import PpoConfig
@@ -22,6 +21,7 @@ from kinetix_dist.level.schema import load_level
 from kinetix_dist.models import gru
 from kinetix_dist.models.gru import Gru, initial_memory, reset_memory
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
+from kinetix_dist.models.several_policies import SeveralPolicies
 from tests.helpers import REPOSITORY
 
 STEPS, EPISODE, WORLDS = 9, 4, 4
@@ -121,7 +121,7 @@ def test_a_recurrent_policy_without_its_memory_is_an_error(problem: Problem) -> 
 def test_two_students_remember_each_for_itself(problem: Problem) -> None:
     obs = problem.env.observe(problem.worlds.prepared, problem.worlds.obs)
     other = jax.tree.map(lambda x: 0.5 * x, problem.params)
-    both = TwoStudents(problem.policy, worlds_per_group=4)
+    both = SeveralPolicies(problem.policy, 2, worlds_per_group=4)
     memory = jax.random.normal(jax.random.key(0), (4, both.memory_size))
     _, value, after = both.apply((problem.params, other), obs, memory)
     for params, worlds in ((problem.params, slice(0, 2)), (other, slice(2, 4))):

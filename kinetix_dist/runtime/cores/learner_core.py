@@ -45,6 +45,11 @@ class LearnerCore:
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
         """Starts from a checkpoint's arrays, or afresh from the seed, or afresh with the parameters of another run."""
+        self.state = self.started(arrays)
+        self.num_updates = int(self.state.num_updates)
+
+    def started(self, arrays: Mapping[str, np.ndarray] | None) -> LearnerState:
+        """State that `start` begins with."""
         given = select_arrays(arrays or {}, START)
         if arrays is not None and not given:
             state = unflatten_arrays(self.shapes, select_arrays(arrays, LEARNER))
@@ -57,8 +62,7 @@ class LearnerCore:
                 state = dataclasses.replace(state, params=params, average=average)
             if optimizer := select_arrays(given, OPTIMIZER):  # else all zeros, whatever the parameters
                 state = dataclasses.replace(state, opt_state=unflatten_arrays(state.opt_state, optimizer))
-        self.num_updates = int(state.num_updates)
-        self.state = replicate(state, self._mesh)
+        return replicate(state, self._mesh)
 
     def set_ppo(self, ppo: PpoConfig) -> None:
         """Sets the settings of updates from now on; an update of other settings is compiled when it is first made."""
@@ -86,12 +90,19 @@ class LearnerCore:
 
     def learn(self, static: Any, trajectory: Any, last_value: Array, *, env_steps: int) -> dict[str, Array]:
         """Learns from worlds in all slots of the division. env_steps: of the run before this update."""
-        state = at_env_steps(self.state, replicate(clock(env_steps), self._mesh))
-        self.state, metrics = self._update(state, static, trajectory, last_value)
+        assert self.state is not None, "start() comes first"
+        self.state, metrics = self.learned(self.state, static, trajectory, last_value, env_steps=env_steps)
         self.num_updates += 1
         if self._config.plasticity.is_due(self.num_updates):
             metrics = metrics | self._measure(self.params, static, trajectory)
         return metrics
+
+    def learned(
+        self, state: LearnerState, static: Any, trajectory: Any, last_value: Array, *, env_steps: int
+    ) -> tuple[LearnerState, dict[str, Array]]:
+        """(next state, metrics of the update) of a learner in this state, which is used up."""
+        clocked = at_env_steps(state, replicate(clock(env_steps), self._mesh))
+        return self._update(clocked, static, trajectory, last_value)
 
     @functools.cached_property
     def _measure(self) -> Measure:

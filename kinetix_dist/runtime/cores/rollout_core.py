@@ -189,8 +189,8 @@ class RolloutCore:
         return batch, Episodes(env_state=env_state, obs=played.obs, memory=played.memory, outcome=outcome), sums
 
     @property
-    def _groups(self) -> Array:
-        """Numbers of the world groups in the slots of this device."""
+    def group_numbers(self) -> Array:
+        """Numbers of the world groups in the slots of this device, of which levels and actions are drawn."""
         parts = jnp.asarray(self.division.parts)[jax.lax.axis_index(DATA_AXIS)]
         return self._first_group + members(parts, self._groups_per_part)
 
@@ -200,7 +200,7 @@ class RolloutCore:
         return jnp.repeat(is_counted, played.last_value.shape[0] // self.division.slots)
 
     def _proposed(self, state: Any, num_updates: Array) -> Proposal:
-        config, groups = self._config, self._groups
+        config, groups = self._config, self.group_numbers
         level_key = prng.fold_in(stream(config.run.seed, LEVELS), num_updates)
         group_keys = jax.vmap(lambda group: prng.fold_in(level_key, group))(groups)
         proposal = self._curriculum.propose(state, group_keys, groups)
@@ -222,7 +222,7 @@ class RolloutCore:
         num_updates: Array,
     ) -> tuple[Batch, Played]:
         """start: state, observation and the policy's memory, None where that begins with an episode."""
-        config, groups = self._config, self._groups
+        config, groups = self._config, self.group_numbers
         env_state, obs, memory = start
         policy, params = self._curriculum.players(self._policy, params, state)
         bound_heads = prepared.bound_heads if config.ppo.mask_unbound_heads else None
