@@ -128,7 +128,7 @@ def _known(study: Study | CommandStudy, directory: Path) -> dict[str, str]:
         found: dict[str, Any] = read_results(path) or {}
     return {
         "finding": study.finding if found.get("finding", NOT_RUN) == NOT_RUN else str(found["finding"]),
-        "state": str(found.get("state", NOT_RUN)),
+        "state": str(found.get("state", NOT_RUN if study.finding == NOT_RUN else "not run here")),
         "minutes": str(found.get("minutes", 0)),
     }
 

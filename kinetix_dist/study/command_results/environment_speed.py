@@ -50,7 +50,7 @@ class EnvironmentSpeed:
         panel.set_ylabel("environment steps per second")
         panel.grid(alpha=0.3, axis="y")
         if kinds:
-            panel.legend(title="observation", fontsize=8)
+            panel.legend(title="observation", fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         figure.suptitle("\n".join(textwrap.wrap(question, 80)))
         figure.savefig(file, dpi=DPI)
         plt.close(figure)
