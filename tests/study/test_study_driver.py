@@ -224,7 +224,7 @@ def test_list_names_all_studies_and_what_is_known(tmp_path, capsys, monkeypatch)
     monkeypatch.chdir(tmp_path)
     assert main(["study", "list"]) == 0
     said = capsys.readouterr().out
-    assert "filter" in said and "curricula" in said and "not run yet" in said
+    assert "filter" in said and "curricula" in said and "not run yet" in said and "not run here" in said
     results = tmp_path / "runs" / "studies" / "filter"
     results.mkdir(parents=True)
     known = {"state": "2 of 6 runs", "finding": "found something", "minutes": 12.5}
