@@ -24,7 +24,7 @@ from typing import Any
 
 from kinetix_dist import user_directories
 from kinetix_dist.cli.parsing import EXIT_USER_ERROR, PROG, load_module, parse_args
-from kinetix_dist.cli.streams import exit_now_if_blocked, prepare_streams, say
+from kinetix_dist.cli.streams import exit_now, exit_now_if_blocked, prepare_streams, say
 from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.installation import engine_complaint
 from kinetix_dist.level.structure import LevelNote
@@ -60,6 +60,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Others may have more to say than a slow reader has taken so far.
     if argv is None and sys.argv[1:2] in (["quickstart"], ["train"], ["finetune"]):
         exit_now_if_blocked(status)
+        from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED
+
+        if status == EXIT_STOPPED:  # what it computed then is still being computed: Python would wait for it, or crash
+            exit_now(status)
     return status
 
 

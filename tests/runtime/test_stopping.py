@@ -90,6 +90,20 @@ def test_while_it_starts_a_run_ends_at_once(tmp_path):
     assert ("stopped by SIGINT" in line and "--resume" in line) or "before the run began" in line
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("signal_number", [signal.SIGTERM, signal.SIGINT])
+def test_while_it_evaluates_a_run_ends_at_once(tmp_path, signal_number):
+    """Its computation goes on behind it, at the end of Python too."""
+    evaluation = ["--evaluation.sets", "random_s", "--evaluation.attempts", "1000", "--evaluation.every", "1"]
+    process = start(tmp_path / "run", *TINY, *FOR_EVER, *evaluation, "--run.placement", "local")
+    assert process.stderr is not None
+    assert any(line.startswith("evaluating") for line in process.stderr)
+    time.sleep(4.5)  # it compiles first
+    status, seconds, line = _stopped(process, signal_number)
+    assert (status, seconds < LIMIT_S) == (EXIT_STOPPED, True)
+    assert "--resume" in line or "before the run began" in line
+
+
 SWALLOWED = """
 import os, signal, time
 from kinetix_dist.runtime.driver.stopping import StopRequested, StopSignals
