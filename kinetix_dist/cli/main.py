@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Others may have more to say than a slow reader has taken so far.
     if argv is None and sys.argv[1:2] in (["quickstart"], ["train"], ["finetune"]):
         exit_now_if_blocked(status)
-        from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED
+        from kinetix_dist.runtime import EXIT_STOPPED
 
         if status == EXIT_STOPPED:  # what it computed then is still being computed: Python would wait for it, or crash
             exit_now(status)
