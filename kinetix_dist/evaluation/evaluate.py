@@ -147,7 +147,7 @@ def evaluate(
     attempts = distinct_attempts(player.policy, attempts)
     total = num_levels * attempts
     chunks = [
-        jax.device_get(_attempt_chunk(env, *player, levels, key, index, index // attempts))
+        jax.device_get(play_attempts(env, *player, levels, key, index, index // attempts))
         for index in _chunks(total, max_worlds)
     ]
     episodes = jax.tree.map(lambda *parts: np.concatenate(parts)[:total].reshape(num_levels, attempts), *chunks)
@@ -161,7 +161,7 @@ def compile_evaluation(env: Environment, player: Player, levels: Level, *, attem
     """Compiles what `evaluate` runs with the same arguments."""
     attempts = distinct_attempts(player.policy, attempts)
     index = _chunks(int(np.shape(levels.angle)[0]) * attempts, MAX_WORLDS)[0]
-    _attempt_chunk.lower(env, *player, levels, key, index, index // attempts).compile()
+    play_attempts.lower(env, *player, levels, key, index, index // attempts).compile()
 
 
 def _chunks(total: int, max_worlds: int) -> list[Array]:
@@ -249,10 +249,10 @@ def attempt_keys(key: Array, index: Array) -> Array:
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _attempt_chunk(
+def play_attempts(
     env: Environment, policy: Policy, params: Any, levels: Level, key: Array, index: Array, level_index: Array
 ) -> Episodes:
-    """Attempts `index` [W], each on level `level_index` [W]."""
+    """Attempts `index` [W], of which the random numbers follow, each on level `level_index` [W]."""
     chosen = jax.tree.map(lambda x: jnp.asarray(x)[level_index], levels)
     return first_episodes(env, policy, params, env.prepare(chosen), attempt_keys(key, index))
 

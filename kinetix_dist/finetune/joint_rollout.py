@@ -20,8 +20,7 @@ from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
-from kinetix_dist.env.environment import Environment
-from kinetix_dist.evaluation.evaluate import attempt_keys, first_episodes
+from kinetix_dist.evaluation.evaluate import play_attempts
 from kinetix_dist.evaluation.policies import NetworkPolicy
 from kinetix_dist.level.level import Level
 from kinetix_dist.models.several_policies import SeveralPolicies
@@ -100,7 +99,9 @@ class JointRollout:
         are paired."""
         count = self.num_specialists
         policy = NetworkPolicy(SeveralPolicies(self._policy, count, count * attempts), self._env.action_distribution)
-        solved = _first_solved(self._env, policy, attempts, tuple(params), levels)
+        index = jnp.arange(count * attempts)
+        key, number = prng.key(EVALUATION_STREAM), index % attempts
+        solved = play_attempts(self._env, policy, tuple(params), levels, key, number, index // attempts).solved
         return [(int(own), attempts) for own in np.asarray(solved).reshape(count, attempts).sum(axis=1)]
 
 
@@ -118,12 +119,3 @@ def _batches(batch: Batch, count: int) -> list[Batch]:
         return Batch(jax.tree.map(first, static), jax.tree.map(second, trajectory), first(last_value))
 
     return [of(number) for number in range(count)]
-
-
-@functools.partial(jax.jit, static_argnums=(0, 1, 2))
-def _first_solved(env: Environment, policy: NetworkPolicy, attempts: int, params: Any, levels: Level) -> Array:
-    """[specialists * attempts] bool, whether the first episode of each attempt was solved."""
-    index = jnp.arange(levels.position.shape[0] * attempts)
-    chosen = jax.tree.map(lambda x: jnp.asarray(x)[index // attempts], levels)
-    keys = attempt_keys(prng.key(EVALUATION_STREAM), index % attempts)
-    return first_episodes(env, policy, params, env.prepare(chosen), keys).solved

@@ -123,12 +123,8 @@ def _seconds(path: Path, run: CommandRun) -> float:
     return float((read_object(path / ARMS / run.name / DONE) or {}).get("seconds", 0.0))
 
 
-class CommandStudyDirectory(StudyDirectory[CommandRun]):
+class CommandStudyDirectory(StudyDirectory[CommandPlan]):
     """Study of commands in a directory."""
-
-    def __init__(self, plan: CommandPlan, path: Path) -> None:
-        super().__init__(plan, path)
-        self.plan = plan
 
     def seconds_left(self) -> dict[str, float]:
         return {run.name: 60 * self.plan.study.cost.minutes for run in self.plan.chosen if not _is_done(self.path, run)}

@@ -15,7 +15,7 @@ from kinetix_dist.sweep.run_loop import Callbacks, Goal, Named, RunLoop, RunsFai
 from kinetix_dist.sweep.slots import Slot
 
 RESULTS = "study.json"
-Run = TypeVar("Run", bound=Named)
+Run = TypeVar("Run", bound=Named, covariant=True)
 
 
 class Described(Protocol):
@@ -38,11 +38,14 @@ class PlanOf(Protocol[Run]):
     def chosen(self) -> tuple[Run, ...]: ...
 
 
-class StudyDirectory(abc.ABC, Generic[Run]):
+AnyPlan = TypeVar("AnyPlan", bound=PlanOf[Any])
+
+
+class StudyDirectory(abc.ABC, Generic[AnyPlan]):
     """Study in the directory `path`. It holds no state that is not in the files of its runs."""
 
-    def __init__(self, plan: PlanOf[Run], path: Path) -> None:
-        self._plan = plan
+    def __init__(self, plan: AnyPlan, path: Path) -> None:
+        self.plan = plan
         self.path = path
 
     @abc.abstractmethod
@@ -58,13 +61,13 @@ class StudyDirectory(abc.ABC, Generic[Run]):
         """Writes the results of what is done; returns the files. Raises UserError where that cannot be."""
 
     @abc.abstractmethod
-    def _work_and_goal(self) -> tuple[Work[Run], Goal[Run]]:
+    def _work_and_goal(self) -> tuple[Work[Any], Goal[Any]]:
         """Processes of the runs, and when one of them is done."""
 
     @contextlib.contextmanager
     def taken(self) -> Iterator[None]:
         """Holds the directory. Raises UserError for one of another study, or in use."""
-        with contextlib.closing(ResultsDirectory(self.path, self._plan.hash, to_dict(self._plan.study))):
+        with contextlib.closing(ResultsDirectory(self.path, self.plan.hash, to_dict(self.plan.study))):
             yield
 
     def train(
@@ -75,7 +78,7 @@ class StudyDirectory(abc.ABC, Generic[Run]):
         Raises RunsStoppedError, and RunsFailedError once all others have ended.
         """
         callbacks = Callbacks(report=report, must_stop=must_stop, after_run=self.write)
-        if failures := RunLoop(self.path, *self._work_and_goal(), callbacks).train(self._plan.chosen, slots):
+        if failures := RunLoop(self.path, *self._work_and_goal(), callbacks).train(self.plan.chosen, slots):
             raise RunsFailedError("; ".join(failures))
 
 

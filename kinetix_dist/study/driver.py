@@ -30,12 +30,8 @@ from kinetix_dist.sweep.results_directory import write_json
 from kinetix_dist.sweep.training_work import TrainingWork, seconds_to_stop
 
 
-class TrainingStudyDirectory(StudyDirectory[Run]):
+class TrainingStudyDirectory(StudyDirectory[Plan]):
     """Study whose arms are trained, in a directory."""
-
-    def __init__(self, plan: Plan, path: Path) -> None:
-        super().__init__(plan, path)
-        self.plan = plan
 
     def seconds_left(self) -> dict[str, float]:
         return seconds_left(self.path, self.plan)

@@ -97,7 +97,7 @@ def test_a_new_policy_is_evaluated_by_the_program_that_was_compiled_while_random
     worker.start(None)
     rates = [worker.evaluate(use_policy) for use_policy in (False, True)]
     assert rates == expected
-    assert sorted(thread == THREAD for name, thread in lowered if name == "jit(_attempt_chunk)") == [False, True]
+    assert sorted(thread == THREAD for name, thread in lowered if name == "jit(play_attempts)") == [False, True]
     worker._update_programs.wait()
 
 
