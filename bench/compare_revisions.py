@@ -7,7 +7,8 @@
 Every engine has a process of its own; all get the same worlds, actions and settings, and their runs are interleaved.
 Printed and written: physics steps/s (median of `--repeats` runs), the ratio to the working tree and to the one before
 in the list, with the spread of the runs, and whether the first run led to the same bits as the working tree's.
-Worlds: the public levels, for numbers of shapes (64) heaps of boxes and balls. On a CPU it is processor time.
+Worlds: the public levels, for numbers of shapes (64) heaps of boxes and balls, as they are drawn or sorted by structure
+(`--order`). On a CPU it is processor time.
 
 A revision or variant that fails costs its own row; a line says why, and the exit code is 1.
 """
@@ -35,10 +36,11 @@ import jax
 import numpy as np
 
 from bench.program import exit_code, output_file, parser_of
-from bench.revision_runner import STARTS
+from bench.revision_runner import PLAYED, STARTS
 from jax2d.fields import as_dict
 from jax2d.scene import Capacity, stack_worlds
-from kinetix_dist.benchmarks.engine_worlds import level_files, load_levels
+from jax2d.world_order import structure_of
+from kinetix_dist.benchmarks.engine_worlds import DRAWN, ORDERS, in_order, level_files, load_levels
 from kinetix_dist.benchmarks.growth_scenes import SCENES, capacity_of
 from kinetix_dist.benchmarks.peer_process import LineProcess, ProcessError
 from kinetix_dist.errors import UserError, one_line
@@ -124,8 +126,9 @@ def entrants(stack: ExitStack, folder: Path, variants: bool, only: list[str] | N
     return [start(stack, *one) for one in [*chosen, (NOW, "this checkout", CHECKOUT, {})]]
 
 
-def write_worlds(size: str, levels: Path | None, file: Path) -> tuple[Capacity, str]:
-    """Worlds of a size as one .npz of the fields of Scene and of where bodies start."""
+def write_worlds(size: str, levels: Path | None, count: int, order: str, file: Path) -> tuple[Capacity, str]:
+    """Worlds of a size as one .npz of the fields of Scene, of where bodies start, and of which ones `count` worlds
+    play."""
     if size in SIZES:
         capacity = SIZES[size]
         with level_files(size, levels, seed=0) as (files, source):
@@ -137,7 +140,9 @@ def write_worlds(size: str, levels: Path | None, file: Path) -> tuple[Capacity, 
         scene = stack_worlds([world.scene for world in heaps])
         starts = [np.stack([getattr(world, name) for world in heaps]) for name in STARTS]
     fields = {name: np.asarray(values) for name, values in as_dict(scene).items()}
-    np.savez(file, **fields, **{name: np.asarray(x) for name, x in zip(STARTS, starts)})
+    fields |= {name: np.asarray(x) for name, x in zip(STARTS, starts)}
+    played = in_order(np.arange(count) % len(starts[0]), structure_of(scene), order)
+    np.savez(file, **fields, **{PLAYED: np.asarray(played)})
     return capacity, source
 
 
@@ -163,7 +168,7 @@ def time_interleaved(engines: list[Engine], request: Record, repeats: int, at_on
                     engine.failed = str(error)
 
 
-def records_of(engines: list[Engine], request: Record, size: str) -> list[Record]:
+def records_of(engines: list[Engine], request: Record, size: str, order: str) -> list[Record]:
     """One for each engine that ran; the working tree is the last one."""
     steps = request["count"] * request["steps"]
     now = engines[-1]
@@ -178,6 +183,7 @@ def records_of(engines: list[Engine], request: Record, size: str) -> list[Record
             "label": engine.label,
             "size": size,
             "worlds": request["count"],
+            "order": order,
             "preset": request["preset"],
             "physics_steps_per_second": round(speed),
             "slowest": round(min(speeds)),
@@ -201,6 +207,7 @@ def row(record: Record) -> str:
     low, high = (record[name] / record["physics_steps_per_second"] for name in ("slowest", "fastest"))
     return (
         f"  {record['name'][:34]:<34} {record['size'].upper():>3} {record['worlds']:>7} "
+        f"{record['order']:<6} "
         f"{record['physics_steps_per_second']:>13,} ({low:.2f}-{high:.2f}) {ratio(record['of_working_tree'])} "
         f"{ratio(record['of_the_one_before'])} {'same' if record['bits_of_working_tree'] else 'other':>6}  "
         f"{record['label'][:60]}"
@@ -232,13 +239,13 @@ def run(args: argparse.Namespace) -> int:
         if not engines or engines[-1].name != NOW:
             raise UserError(result["failures"][-1])
         print(f"{len(engines)} engines on {result['device']}, jax {result['jax']}, warp {result['warp']}")
-        print("  name, size, worlds, physics steps/s (spread), of working tree, of the one before, bits")
+        print("  name, size, worlds, order, physics steps/s (spread), of working tree, of the one before, bits")
         for size, count in points:
             if args.seconds and time.perf_counter() - started > args.seconds:
                 result["left_out"].append({"size": size, "worlds": count})
                 print(f"  {size.upper()}, {count} worlds: left out, {args.seconds:g} s are over")
                 continue
-            capacity, source = write_worlds(size, args.levels, folder / f"{size}.npz")
+            capacity, source = write_worlds(size, args.levels, count, args.order, folder / f"{size}.npz")
             request = {
                 "worlds": str(folder / f"{size}.npz"),
                 "capacity": dataclasses.asdict(capacity),
@@ -248,7 +255,7 @@ def run(args: argparse.Namespace) -> int:
                 "seed": 0,
             }
             time_interleaved(engines, request, args.repeats, args.at_once)
-            new = records_of(engines, request, size)
+            new = records_of(engines, request, size, args.order)
             result["records"] += [record | {"levels": source} for record in new]
             failed = [f"{one.name}, {size.upper()}, {count} worlds: {one.failed}" for one in engines if one.failed]
             result["failures"] += failed
@@ -267,6 +274,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="run: these revisions or variants alone")
     parser.add_argument("--sizes", nargs="+", default=["s", "m", "l"], help="s, m, l, or numbers of shapes")
     parser.add_argument("--worlds", type=int, nargs="+", help="default: by device")
+    parser.add_argument("--order", choices=ORDERS, default=DRAWN, help="of worlds: drawn, or sorted by structure")
     parser.add_argument("--preset", default="standard")
     parser.add_argument("--levels", type=Path, help="folder with s/, m/ and l/; default as in `bench engine speed`")
     parser.add_argument("--steps", type=int, default=128, help="physics steps of a timed run, an even number")

@@ -9,9 +9,9 @@ Four parts, each a list of records in `--json`:
     phases      instructions by what `World::soft_step` calls, by kind: what is executed once, or once a contact
     divergence  lanes of a warp run in lockstep, so a loop over contacts takes as long as the fullest world of the warp:
                 from states that the levels reach under random actions, contacts of a world and of the fullest of 32
-    speed       (GPU) physics steps/s and bytes/s of the tables that a launch reads and writes, with worlds in the order
-                of their levels (mixed) and with worlds of like work side by side (grouped); block sizes and other
-                variants: bench/compare_revisions.py --variants
+    speed       (GPU) physics steps/s and bytes/s of the tables that a launch reads and writes, with worlds as
+                they are drawn and sorted by structure; block sizes and other variants: bench/compare_revisions.py
+                --variants
 
 The first two take `ptxas` and `nvdisasm` from $PATH or from the wheels nvidia-cuda-nvcc and nvidia-cuda-nvdisasm, which
 must be at least as new as the compiler inside Warp. `--parts` leaves parts out.
@@ -44,7 +44,8 @@ from jax2d.scene import stack_worlds
 from jax2d.settings import PRESETS
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.variant import CompileOptions, KernelVariant
-from kinetix_dist.benchmarks.engine_worlds import FRAME_SKIP, Play, random_play
+from jax2d.world_order import order_by_structure
+from kinetix_dist.benchmarks.engine_worlds import FRAME_SKIP, ORDERS, SORTED, Play, random_play
 from kinetix_dist.errors import UserError
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_levels
@@ -227,17 +228,8 @@ def divergence_record(size: str, engine: Engine, levels: Level, runs: int) -> Re
 # Speed
 
 
-def grouped(levels: Level) -> Level:
-    """The same worlds with those of like work side by side: a warp then waits less for its fullest world."""
-    scene = levels.scene
-    shapes, joints = (np.asarray(x).sum(-1) for x in (scene.shapes.active, scene.joints.active))
-    pairs = np.asarray(scene.shapes.can_touch).sum((-1, -2))
-    order = np.lexsort((pairs, shapes, joints))
-    return jax.tree.map(lambda x: jnp.take(jnp.asarray(x), order, axis=0), levels)
-
-
 def speed_record(size: str, engine: Engine, levels: Level, repeats: int, order: str) -> Record:
-    levels = grouped(levels) if order == "grouped" else levels
+    levels = order_by_structure(levels.scene).sort(levels) if order == SORTED else levels
     worlds = levels.position.shape[0]
     scene, start = packed(engine, levels)
     run = stepper(engine, worlds)
@@ -306,8 +298,7 @@ def run(args: argparse.Namespace) -> int:
         if "divergence" in chosen:
             results["divergence"].append(divergence_record(size, engine, levels, runs=4))
         if "speed" in chosen:
-            orders = ("mixed", "grouped")
-            results["speed"] += [speed_record(size, engine, levels, args.repeats, order) for order in orders]
+            results["speed"] += [speed_record(size, engine, levels, args.repeats, order) for order in ORDERS]
     for title, rows in results.items():
         show(title, rows)
     if args.json:

@@ -11,7 +11,7 @@ Reads one JSON request a line from stdin and answers each with one line on stdou
                             -> {"ok": true, "seconds": to compile and run once, "bits": of what that run led to}
     {"do": "run"}           -> {"ok": true, "seconds": for N physics steps of W worlds}
 
-A failure answers {"ok": false, "error": one line}. World i plays world i of the file modulo their number. Runs go on
+A failure answers {"ok": false, "error": one line}. World i plays world `PLAYED[i]` of the file. Runs go on
 from where the one before ended; new actions are drawn for every two steps. On a CPU seconds are processor time. This
 file uses nothing of the project but the `jax2d` on its path, with nested scenes (`e0d5a3c`) and field names of today.
 """
@@ -32,6 +32,7 @@ import numpy as np
 import warp as wp
 
 FRAME_SKIP = 2  # physics steps that an action is held for
+PLAYED = "played"  # [W] in the file
 STARTS = ("position", "angle", "velocity", "angular_velocity")
 
 
@@ -73,9 +74,9 @@ class Bench:
         with np.load(worlds) as file:
             fields = dict(file)
         starts = [fields.pop(name) for name in STARTS]
+        played = jnp.asarray(fields.pop(PLAYED))
         scene = from_dict(jax2d.Scene, fields)
-        order = jnp.arange(count) % len(starts[0])
-        repeat = partial(jax.tree.map, lambda x: jnp.take(x, order, axis=-1))  # worlds are the last axis of tables
+        repeat = partial(jax.tree.map, lambda x: jnp.take(x, played, axis=-1))  # worlds are the last axis of tables
         self._scene = jax.jit(repeat)(engine.pack_scene(scene))
         self._state = jax.jit(repeat)(engine.pack_state(engine.initial_state(scene, *starts)))
         self._bodies = jax.jit(engine.bodies)

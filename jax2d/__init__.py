@@ -25,10 +25,12 @@ from jax2d.scene import (
 from jax2d.settings import PRESETS, Settings, preset
 from jax2d.shapes import circle_mass_properties, polygon_mass_properties
 from jax2d.trajectory import Trajectory
+from jax2d.world_order import STRUCTURE, WorldOrder, order_by_structure, structure_of
 
 __all__ = [
     "EFFECTS",
     "PRESETS",
+    "STRUCTURE",
     "BuiltWorld",
     "Capacity",
     "ContactReport",
@@ -52,15 +54,18 @@ __all__ = [
     "Thrusters",
     "Touching",
     "Trajectory",
+    "WorldOrder",
     "called_for",
     "cast_rays",
     "circle_mass_properties",
     "effects_of",
     "index_worlds",
+    "order_by_structure",
     "point_in_shapes",
     "polygon_mass_properties",
     "preset",
     "record",
     "stack_worlds",
+    "structure_of",
     "touch_matrix",
 ]

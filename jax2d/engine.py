@@ -6,7 +6,7 @@
     packed, touching = engine.step_packed(packed_scene, packed, controls, num_steps=2)  # hot loop
 
 `step` converts between Scene and State and the backend's own tables on every call; loops convert once
-with `pack_scene` and `pack_state`, and read positions with `bodies`.
+with `pack_scene` and `pack_state`, or with `pack_sorted` for a GPU, and read positions with `bodies`.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ from jax2d.fields import Array, Field, broadcast, empty, make
 from jax2d.scene import Capacity, Controls, Scene, State, Touching, num_invalid
 from jax2d.settings import Settings, checked_settings
 from jax2d.whole_numbers import whole_number
+from jax2d.world_order import WorldOrder, order_by_structure
 
 MAX_STEPS = 2**31 - 1  # an int32 of the kernel
 
@@ -194,6 +195,18 @@ class Engine:
         check_type("state", state, State)
         check_state(state, self.capacity, self.dtype, batch=np.shape(state.angle)[:1])
         return self.backend.pack_state(state)
+
+    def pack_sorted(self, scene: Scene, state: State) -> tuple[PackedScene, Any, WorldOrder]:
+        """`pack_scene`, `pack_state` and the order of the worlds in both, by structure: like worlds stand side by side.
+
+        A GPU steps worlds that are drawn from many levels faster so; each world moves bit for bit as in any other
+        order. Everything that goes with these tables is in their order, too: controls are `order.sort(controls)`, and
+        `order.restore(x)` gives reports, bodies and unpacked states in the order of `scene`.
+        """
+        check_batches(scene, state)
+        packed = self.pack_scene(scene), self.pack_state(state)  # before sorting: errors name worlds of `scene`
+        order = order_by_structure(scene)
+        return *order.sort(packed, axis=-1), order
 
     def unpack_state(self, packed: Any) -> State:
         return self.backend.unpack_state(packed)

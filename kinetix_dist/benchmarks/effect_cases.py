@@ -102,13 +102,14 @@ def with_effect(scene: Scene, effect: str) -> Scene:
     return scene.replace(shapes=changes[effect])
 
 
-def cases_of(full: Engine, levels: Level, controls: Controls, seed: int) -> list[Case]:
+def cases_of(full: Engine, levels: Level, played: jax.Array, controls: Controls, seed: int) -> list[Case]:
     """All cases; the first is the full engine on the levels as they are.
 
-    controls: [calls, W, ...], random actions of an episode. Every world starts where they lead to at a random moment.
+    played [W]: number of the level of each world. controls: [calls, W, ...], random actions of an episode. Every world
+    starts where they lead to at a random moment.
     """
     worlds = controls.motor.shape[1]
-    spread = partial(take_worlds, order=jnp.arange(worlds) % len(levels.position))
+    spread = partial(take_worlds, order=played)
     state = full.initial_state(levels.scene, levels.position, levels.angle, levels.velocity, levels.angular_velocity)
     as_they_are = spread(full.pack_scene(levels.scene))
     start = _at_random_moments(full, as_they_are, spread(full.pack_state(state)), controls, seed)

@@ -9,8 +9,8 @@ Worlds start where the full engine is at a random moment of their episodes, and 
 the engines are interleaved, in random order. A time includes the launches, one for every 2 physics steps. On a CPU it
 is processor time. A record has exactly these fields:
 
-    {"size", "effect", "engine": "full"|"without"|"specialised"|"larger", "worlds", "device",
-     "us_per_world_step", "relative_to_full"}
+    {"size", "effect", "engine": "full"|"without"|"specialised"|"larger", "worlds", "order": "drawn"|"sorted",
+     "device", "us_per_world_step", "relative_to_full"}
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import random
 import statistics
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import numpy as np
@@ -36,6 +36,7 @@ from kinetix_dist.benchmarks.engine_worlds import (
     check_engine,
     check_steps,
     level_files,
+    levels_of_worlds,
     load_levels,
     random_controls,
 )
@@ -54,6 +55,8 @@ class Options(EngineOptions):
     """Settings of the engine."""
     steps: int = 128
     """Physics steps in one timed run; an even number, since actions are held for two."""
+    order: Literal["drawn", "sorted"] = "drawn"
+    """Order of worlds: as they are drawn, or sorted by structure, so that like worlds stand side by side."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -70,8 +73,8 @@ def measure(options: Options, results: Results) -> None:
             levels = load_levels(files, size)
             for worlds in options.worlds or (WORLDS_GPU if device.platform == "gpu" else WORLDS_CPU):
                 results.report(
-                    f"size {size.upper()}: {len(files)} levels, {source}; {worlds} worlds, preset {options.preset}, "
-                    f"{device.device_kind}, jax {jax.__version__}"
+                    f"size {size.upper()}: {len(files)} levels, {source}; {worlds} worlds {options.order}, "
+                    f"preset {options.preset}, {device.device_kind}, jax {jax.__version__}"
                 )
                 records, of_others = [], list(results.records)
                 try:
@@ -124,7 +127,7 @@ def _rounds(
     key = prng.key(options.seed)
     controls = random_controls(full, (options.steps // FRAME_SKIP, worlds), key)
     episode = random_controls(full, (EPISODE_STEPS // FRAME_SKIP, worlds), key)
-    cases = cases_of(full, levels, episode, options.seed)
+    cases = cases_of(full, levels, levels_of_worlds(levels, worlds, options.order), episode, options.seed)
     # One program an engine: cases of the same engine differ in what they are given.
     programs = {
         (capacity, effects): _program(Engine(capacity, settings=settings, effects=effects))
@@ -142,11 +145,11 @@ def _rounds(
             if repeat:  # the first run compiles
                 times.append(clock() - started)
         if repeat:
-            yield _records(cases, seconds, size, worlds, options.steps, device)
+            yield _records(cases, seconds, size, worlds, options, device)
 
 
 def _records(
-    cases: Sequence[Case], seconds: list[list[float]], size: str, worlds: int, steps: int, device: Any
+    cases: Sequence[Case], seconds: list[list[float]], size: str, worlds: int, options: Options, device: Any
 ) -> list[Record]:
     """Records by the medians of the times so far, [cases][runs]."""
     reference = statistics.median(seconds[0])
@@ -156,8 +159,9 @@ def _records(
             "effect": case.effect,
             "engine": case.engine,
             "worlds": worlds,
+            "order": options.order,
             "device": device.device_kind,
-            "us_per_world_step": round(1e6 * statistics.median(times) / (worlds * steps), 5),
+            "us_per_world_step": round(1e6 * statistics.median(times) / (worlds * options.steps), 5),
             "relative_to_full": round(statistics.median(times) / reference, 4),
         }
         for case, times in zip(cases, seconds, strict=True)

@@ -15,7 +15,7 @@ import dataclasses
 import math
 import statistics
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import psutil
@@ -56,6 +56,8 @@ class Options(EngineOptions):
     """Backend of the engine."""
     shapes: tuple[int, ...] = (4, 8, 16, 32, 64, 128, 256, 512)
     """Numbers of shapes per world, of the sweep over shapes."""
+    order: Literal["drawn", "sorted"] = "drawn"
+    """Order of worlds: as they are drawn, or sorted by structure, so that like worlds stand side by side."""
     point_seconds: float = 60.0
     """Points that would take longer are left out."""
 
@@ -75,6 +77,7 @@ class Point:
     size: str | None  # s, m, l: of levels
     shapes: int  # slots for shapes
     worlds: int
+    order: str  # of worlds: "drawn" or "sorted"
     backend: str
     preset: str
     device: str
@@ -91,7 +94,10 @@ class Point:
 def measure(options: Options, results: Results) -> None:
     """All points, a line for each; then their slopes, the tables and the picture."""
     device = jax.devices()[0]
-    results.report(f"{device.device_kind}, jax {jax.__version__}, preset {options.preset}, backend {options.backend}")
+    results.report(
+        f"{device.device_kind}, jax {jax.__version__}, preset {options.preset}, backend {options.backend}, "
+        f"worlds {options.order}"
+    )
     for point in _all_points(options, device):
         results.report(_row(point))
         results.add(dataclasses.asdict(point))
@@ -162,6 +168,7 @@ class _Sweep:
             size=self.size,
             shapes=engine.capacity.shapes,
             worlds=0,
+            order=options.order,
             backend=options.backend,
             preset=options.preset,
             device=self.device.device_kind,
@@ -185,7 +192,7 @@ class _Sweep:
     def _timed(self, worlds: int, expected: float | None) -> dict[str, Any]:
         """The measured fields of a point."""
         before = _bytes_in_use(self.device)
-        scene, state = self.start.worlds(worlds)
+        scene, state = self.start.worlds(worlds, self.options.order)
         after = _bytes_in_use(self.device)
         fitting = MAX_STEPS if expected is None else int(RUN_SECONDS / (1e-6 * expected * worlds))
         steps = max(FRAME_SKIP, min(MAX_STEPS, fitting) // FRAME_SKIP * FRAME_SKIP)

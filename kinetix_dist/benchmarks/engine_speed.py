@@ -3,12 +3,14 @@
     levels (public files, or drawn at random) -> worlds: world i plays level i modulo the number of levels
     one run    = `steps` physics steps of all worlds in a lax.scan; actions drawn in it, each held for 2 steps
     one record = worlds * steps / median seconds of `repeats` runs, after one run that compiles and is not timed
+    orders     = "drawn", or "sorted" by structure (engine_worlds.py); the published engine has the drawn one
 
 Worlds go on from run to run and start again after an episode (512 physics steps), so all engines are timed over
 the same parts of an episode. Runs of the engines under comparison are interleaved, so that a busy moment of the
 machine falls on all of them. A record has exactly these fields:
 
-    {"engine": "ours"|"published", "backend", "preset", "size", "worlds", "device", "physics_steps_per_second"}
+    {"engine": "ours"|"published", "backend", "preset", "size", "worlds", "order": "drawn"|"sorted", "device",
+     "physics_steps_per_second"}
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -34,6 +36,7 @@ from kinetix_dist.benchmarks.engine_worlds import (
     check_engine,
     check_steps,
     level_files,
+    levels_of_worlds,
     load_levels,
     random_play,
     take_worlds,
@@ -62,6 +65,8 @@ class Options(EngineOptions):
     """Backend of our engine."""
     steps: int = 128
     """Physics steps in one timed run; an even number, since actions are held for two."""
+    orders: tuple[Literal["drawn", "sorted"], ...] = ("drawn",)
+    """Orders of worlds: as they are drawn, or sorted by structure, so that like worlds stand side by side."""
     peers: bool = False
     """Also run the published jax2d, interleaved with ours (bench/peers/setup.sh installs it)."""
     peer_max_worlds: int | None = None
@@ -72,6 +77,8 @@ class Options(EngineOptions):
         check_steps(self.steps)
         if not self.presets:
             raise ValueError("--presets is empty; give one or more, such as --presets standard")
+        if not self.orders:
+            raise ValueError("--orders is empty; give one or more, such as --orders drawn sorted")
         for name in self.presets:
             check_engine(name, self.backend)
 
@@ -109,9 +116,10 @@ def measure(options: Options, results: Results) -> None:
             )
             peer_max = options.peer_max_worlds or (PEER_MAX_WORLDS_GPU if on_gpu else PEER_MAX_WORLDS_CPU)[size]
             for worlds in options.worlds or (WORLDS_GPU if on_gpu else WORLDS_CPU):
-                makers: dict[str, Callable[[], Runner]] = {
-                    f"ours {name}": partial(OurEngine, options, size, levels, worlds, name) for name in options.presets
-                }
+                makers: dict[str, Callable[[], Runner]] = {}
+                for name in options.presets:
+                    for order in options.orders:
+                        makers[f"ours {name} {order}"] = partial(OurEngine, options, size, levels, worlds, name, order)
                 if peer is not None and worlds <= peer_max:
                     makers["published"] = partial(peer.prepare, size, files, worlds, options.steps, options.seed)
                 _measure_together(makers, f"{size.upper()}, {worlds} worlds", options, results)
@@ -126,7 +134,7 @@ def _measure_together(makers: dict[str, Callable[[], Runner]], where: str, optio
             results.fail(f"{name}, {where}: {one_line(error)[:300]}")
     for runner, outcome in zip(runners, _interleaved(runners, options)):
         if isinstance(outcome, Exception):
-            name = f"{runner.record['engine']} {runner.record['preset']}"
+            name = " ".join(str(runner.record[field]) for field in ("engine", "preset", "order"))
             results.fail(f"{name}: {one_line(outcome)[:300]}, {where}")
             continue
         speed = runner.record["worlds"] * options.steps / statistics.median(outcome)
@@ -155,7 +163,7 @@ def _interleaved(runners: list[Runner], options: Options) -> list[list[float] | 
 class OurEngine:
     """Our engine with packed worlds and the compiled program that steps them."""
 
-    def __init__(self, options: Options, size: str, levels: Level, worlds: int, preset_name: str) -> None:
+    def __init__(self, options: Options, size: str, levels: Level, worlds: int, preset_name: str, order: str) -> None:
         capacity, settings = SIZES[size], preset(preset_name)
         effects = level_effects(capacity, settings)
         engine = Engine(capacity, settings=settings, backend=options.backend, effects=effects)
@@ -163,7 +171,7 @@ class OurEngine:
             levels.scene, levels.position, levels.angle, levels.velocity, levels.angular_velocity
         )
         # The few levels are packed, then repeated.
-        repeat = jax.jit(partial(take_worlds, order=jnp.arange(worlds) % len(levels.position)))
+        repeat = jax.jit(partial(take_worlds, order=levels_of_worlds(levels, worlds, order)))
         self._scene = repeat(engine.pack_scene(levels.scene))
         self._start = repeat(engine.pack_state(state))
         self._play = jax.jit(random_play(engine, worlds, options.steps), donate_argnums=1)
@@ -174,6 +182,7 @@ class OurEngine:
             "preset": preset_name,
             "size": size,
             "worlds": worlds,
+            "order": order,
             "device": jax.devices()[0].device_kind,
         }
         self.restart()
@@ -193,4 +202,5 @@ class OurEngine:
 def _row(record: Record) -> str:
     speed = record["physics_steps_per_second"]
     name = f"{record['engine']} {record['backend']} {record['preset']}"
-    return f"  {name:<26} {record['size'].upper()} {record['worlds']:>8} worlds {speed:>16,.0f} physics steps/s"
+    where = f"{record['size'].upper()} {record['worlds']:>8} worlds {record['order']:<6}"
+    return f"  {name:<26} {where} {speed:>16,.0f} physics steps/s"

@@ -1,6 +1,9 @@
 """Worlds that engines are measured on: levels of a size, and random actions, each held for two physics steps.
 
 Levels are the public Kinetix levels, or else drawn at random. Actions are drawn inside the compiled program.
+
+Order of worlds: "drawn", world i plays level i modulo the number of levels, so that the 32 worlds of a warp play as
+many levels; or "sorted", the same worlds with those of one structure side by side (`jax2d/world_order.py`).
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ import kinetix_dist
 from jax2d import Controls, Engine
 from jax2d.engine import BACKENDS
 from jax2d.scene import stack_worlds
+from jax2d.world_order import sorting, structure_of
 from kinetix_dist import prng
 from kinetix_dist.benchmarks.measuring import BenchmarkOptions
 from kinetix_dist.errors import UserError, user_errors
@@ -34,6 +38,7 @@ from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.sets import data_files
 
 CHECKOUT = Path(kinetix_dist.__file__).resolve().parent.parent
+ORDERS = DRAWN, SORTED = "drawn", "sorted"  # of worlds
 NUM_RANDOM_LEVELS = 32  # a size, where the public ones are absent
 
 
@@ -97,6 +102,17 @@ def load_levels(files: list[Path], size: str) -> Level:
     """The levels of these files as one batch; raises UserError for one that is not a level of this size."""
     with user_errors(ValueError, OSError):
         return stack_worlds([fit_level(load_kinetix(file), SIZES[size]) for file in files])
+
+
+def levels_of_worlds(levels: Level, worlds: int, order: str) -> jax.Array:
+    """[worlds] number of the level that each world plays, in an order of worlds."""
+    return in_order(jnp.arange(worlds) % len(levels.position), structure_of(levels.scene), order)
+
+
+def in_order(numbers: Any, structure: jax.Array, order: str) -> jax.Array:
+    """`numbers` of levels as they are ("drawn"), or sorted by their structure [levels, counts]."""
+    numbers = jnp.asarray(numbers)
+    return numbers if order == DRAWN else numbers[sorting(structure[numbers]).worlds]
 
 
 def _random_level_files(folder: Path, size: str, seed: int) -> list[Path]:

@@ -51,7 +51,8 @@ def _over_worlds(records: Records) -> str:
         [f"{worlds:,}"] + [_first(records, _speed, {"worlds": worlds, "size": size}) for size in sizes]
         for worlds in dict.fromkeys(record["worlds"] for record in records)
     ]
-    return _markdown(["worlds", *(f"{size.upper()}, physics steps/s" for size in sizes)], rows)
+    (order,) = {record["order"] for record in records} or {""}
+    return _markdown([f"worlds, {order}", *(f"{size.upper()}, physics steps/s" for size in sizes)], rows)
 
 
 def _over_shapes(records: Records) -> str:
@@ -132,7 +133,11 @@ def draw(records: Records, file: Path) -> None:
         panel.grid(alpha=0.3)
         if panel.get_legend_handles_labels()[0]:
             panel.legend(fontsize=9)
-    figure.suptitle(" / ".join(sorted({f"{record['device']}, preset {record['preset']}" for record in records})))
+    figure.suptitle(
+        " / ".join(
+            sorted({f"{record['device']}, preset {record['preset']}, worlds {record['order']}" for record in records})
+        )
+    )
     figure.savefig(file, dpi=80)
     plt.close(figure)
 

@@ -17,8 +17,9 @@ import numpy as np
 
 from jax2d import BuiltWorld, Capacity, Controls, Engine, SceneBuilder
 from jax2d.scene import stack_worlds
+from jax2d.world_order import structure_of
 from kinetix_dist import prng
-from kinetix_dist.benchmarks.engine_worlds import take_worlds
+from kinetix_dist.benchmarks.engine_worlds import in_order, take_worlds
 from kinetix_dist.level.level import Level
 
 BODY_M = 0.6
@@ -127,13 +128,15 @@ class Start:
     engine: Engine
     scene: Any
     state: Any
+    structure: jax.Array  # [worlds, counts], `structure_of` each
     seed: int
 
-    def worlds(self, count: int) -> tuple[Any, Any]:
-        """Scene and state of `count` worlds, in an order drawn at random."""
-        available = jax.tree.leaves(self.state)[0].shape[-1]
-        order = np.random.default_rng(self.seed).permutation(available)[np.arange(count) % available]
-        return jax.block_until_ready(jax.jit(take_worlds)((self.scene, self.state), order))
+    def worlds(self, count: int, order: str) -> tuple[Any, Any]:
+        """Scene and state of `count` worlds: drawn at random, and as they were drawn or sorted by structure."""
+        available = self.structure.shape[0]
+        drawn = np.random.default_rng(self.seed).permutation(available)[np.arange(count) % available]
+        numbers = in_order(drawn, self.structure, order)
+        return jax.block_until_ready(jax.jit(take_worlds)((self.scene, self.state), numbers))
 
     @property
     def contacts_per_world(self) -> float:
@@ -160,13 +163,15 @@ def levels_at_all_moments(engine: Engine, levels: Level, seed: int) -> Start:
     moments = jax.jit(lambda packed: jax.lax.scan(until_next_moment, packed, keys)[1])(state)
     joined = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1), moments)
     scenes = jax.tree.map(lambda x: jnp.tile(x, MOMENTS), scene)  # the world axis is the last one
-    return Start(engine, scenes, joined, seed)
+    return Start(engine, scenes, joined, jnp.tile(structure_of(levels.scene), (MOMENTS, 1)), seed)
 
 
 def settled_scene(engine: Engine, name: str, seed: int) -> Start:
     """Worlds of a growth scene that fills the engine's capacity, at rest or nearly so."""
     worlds = [SCENES[name](engine.capacity.shapes, seed=seed + i) for i in range(SETTLED_WORLDS)]
-    scene = engine.pack_scene(stack_worlds([world.scene for world in worlds]))
+    scenes = stack_worlds([world.scene for world in worlds])
+    scene = engine.pack_scene(scenes)
     state = engine.pack_state(stack_worlds([engine.initial_state(*world) for world in worlds]))
     settle = jax.jit(partial(engine.step_packed, num_steps=SETTLING_STEPS))
-    return Start(engine, scene, settle(scene, state, engine.no_controls(SETTLED_WORLDS))[0], seed)
+    settled, _ = settle(scene, state, engine.no_controls(SETTLED_WORLDS))
+    return Start(engine, scene, settled, structure_of(scenes), seed)

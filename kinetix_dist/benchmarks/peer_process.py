@@ -123,6 +123,7 @@ class PublishedProcess(LineProcess):
             "preset": PUBLISHED_PRESET,
             "size": size,
             "worlds": worlds,
+            "order": "drawn",
             "device": self.description["device"],
         }
         return PublishedEngine(process=self, record=record)
