@@ -159,7 +159,7 @@ def test_packing_in_order_names_worlds_by_their_number_in_the_scene():
     sliders = np.flatnonzero(structure_of(scene)[:, STRUCTURE.index("prismatic_joints")])
     with pytest.raises(MissingEffectError, match=f"^scene {sliders[0]} calls for prismatic_joints"):
         without.pack_sorted(scene, state)
-    with pytest.raises(ValueError, match="^scene has 48 worlds, state 47"):
+    with pytest.raises(ValueError, match=r"^scene has 48 worlds, state 47"):
         engine().pack_sorted(scene, index_worlds(state, slice(47)))
 
 

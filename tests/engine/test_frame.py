@@ -1,0 +1,68 @@
+"""A world that drifts, is turned, mirrored or shifted moves as it did, to rounding."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.engine.promises import frame
+from tests.engine.promises.cases import Broken, assert_kept, cases
+from tests.engine.promises.frame import FLYING, GROUNDED, drawn_world
+from tests.engine.promises.plan import Plan, adrift, mirrored, shifted, turned
+from tests.engine.promises.promise import Promise
+
+ALL = ("draft", "standard", "fine")
+PLANES = "planes of contacts and what is found again are chosen by speeds in the world frame"
+KINETIC = "energy of an island at a joint's limit is judged by what it has in the world frame"
+AXES = "bounding boxes and thresholds lie along the axes of the world"
+ONE_AFTER_ANOTHER = "the two points of a pair of polygons are solved one after another"
+BROKEN = [
+    Broken("frame: drift of 0.1 m/s, in flight", ("draft", "standard"), PLANES),
+    *(Broken(f"frame: drift of {speed} m/s, in flight", ALL, PLANES) for speed in (3, 20, 60)),
+    *(Broken(f"frame: drift of {speed} m/s, joints alone", ("fine",), KINETIC) for speed in (3, 20, 60)),
+    Broken("frame: turn, on a floor", ALL, AXES),
+    Broken("frame: mirror, on a floor", ALL, ONE_AFTER_ANOTHER),
+    Broken("frame: machine of jointed parts", ALL, PLANES),
+]
+
+
+@pytest.mark.parametrize(("promise", "preset", "backend"), cases(frame.promises(), BROKEN))
+def test_frame_changes_nothing(promise: Promise, preset: str, backend: str):
+    assert_kept(promise, preset, backend)
+
+
+# The worlds that are looked at
+
+
+def test_what_is_moved_and_moved_back_is_the_same_world():
+    plan = drawn_world(0, GROUNDED)
+    assert mirrored(mirrored(plan))._replace(joints=()) == plan._replace(joints=())
+    for joint, again in zip(plan.joints, mirrored(mirrored(plan)).joints, strict=True):
+        assert dataclasses.replace(again, axis_angle=joint.axis_angle) == joint
+        assert np.isclose(again.axis_angle, joint.axis_angle)
+    for changed in (turned(turned(plan, 0.7), -0.7), shifted(shifted(plan, (3, 4)), (-3, -4))):
+        assert_alike(changed, plan)
+    assert_alike(adrift(adrift(drawn_world(0, FLYING), (3, 4)), (-3, -4)), drawn_world(0, FLYING))
+
+
+def test_drawn_worlds_touch_and_are_joined_in_every_way():
+    plans = frame.worlds(FLYING)
+    kinds = {(joint.kind, joint.limits is not None, joint.speed is not None) for p in plans for joint in p.joints}
+    assert kinds >= {
+        ("hinge", False, False),
+        ("hinge", True, False),
+        ("hinge", False, True),
+        ("weld", False, False),
+        ("slider", True, False),
+        ("slider", False, True),
+    }
+
+
+def assert_alike(one: Plan, other: Plan) -> None:
+    for a, b in zip(one.build(frame.CAPACITY)[1:], other.build(frame.CAPACITY)[1:], strict=True):
+        np.testing.assert_allclose(a, b, atol=2e-6)
+    for name in ("anchor_a", "anchor_b", "axis_angle", "rest_angle"):
+        a, b = (getattr(plan.build(frame.CAPACITY).scene.joints, name) for plan in (one, other))
+        np.testing.assert_allclose(a, b, atol=2e-6)
