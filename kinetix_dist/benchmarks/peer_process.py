@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
+from kinetix_dist.benchmarks.engine_worlds import DRAWN
 from kinetix_dist.benchmarks.measuring import Record
 from kinetix_dist.errors import UserError
 
@@ -123,7 +124,7 @@ class PublishedProcess(LineProcess):
             "preset": PUBLISHED_PRESET,
             "size": size,
             "worlds": worlds,
-            "order": "drawn",
+            "order": DRAWN,
             "device": self.description["device"],
         }
         return PublishedEngine(process=self, record=record)

@@ -8,22 +8,22 @@ import pytest
 from tests.engine.promises import contact_mechanics
 from tests.engine.promises.cases import Broken, assert_kept, cases
 from tests.engine.promises.contact_mechanics import MU, TARGETS, Impact, Throw, coulomb_impact
-from tests.engine.promises.promise import Promise
+from tests.engine.promises.promise import PRESETS, Promise
 
-ALL, COARSE = ("draft", "standard", "fine"), ("draft", "standard")
+COARSE = ("draft", "standard")
 POINTS = "points of an impact are solved one after another, each at where it was found"
 WELDS = "what hits is stopped alone, and its welds share in it afterwards"
 SEAMS = "a disc falls for up to a sub-step onto the next facet"
 SLIPS = "links and contacts are solved in turn, and friction holds less than it should"
 BROKEN = [
-    Broken("contact: face of a box on a rough corner: closed form", ALL, POINTS),
+    Broken("contact: face of a box on a rough corner: closed form", PRESETS, POINTS),
     Broken("contact: corner of a box on a rough floor: closed form", ("standard", "fine"), POINTS),
     Broken("contact: corner of a box on a rough floor: welded halves", COARSE, WELDS),
     Broken("contact: face of a box on a rough corner: welded halves", COARSE, WELDS),
     Broken("contact: disc in a bowl", COARSE, SEAMS),
     Broken("contact: chain over a drum", COARSE, SLIPS),
     Broken("contact: wedge", ("draft",), SLIPS),
-    Broken("contact: rolling hexagon", ALL, POINTS),
+    Broken("contact: rolling hexagon", PRESETS, POINTS),
 ]
 
 

@@ -6,21 +6,20 @@ import pytest
 
 from tests.engine.promises import order
 from tests.engine.promises.cases import Broken, assert_kept, cases
-from tests.engine.promises.promise import Promise
+from tests.engine.promises.promise import PRESETS, Promise
 
-ALL = ("draft", "standard", "fine")
 JOINTS = "joints are solved in the order of their slots"
 CONTACTS = "contacts are solved in the order of the shapes' slots"
 AXIS = "the axis of a slider turns with its body a, and its row acts at the anchor of b"
 BROKEN = [
-    Broken("order: slots of shapes, on a floor", ALL, CONTACTS),
-    Broken("order: slots of joints", ALL, JOINTS),
-    Broken("order: ends of sliders", ALL, AXIS),
-    Broken("order: symmetric billiard break", ALL, CONTACTS),
-    Broken("order: symmetric bridge", ALL, JOINTS),
-    Broken("order: symmetric pile", ALL, CONTACTS),
-    Broken("order: symmetric welded cross", ALL, JOINTS),
-    Broken("order: speeds of the halves", ALL, CONTACTS),
+    Broken("order: slots of shapes, on a floor", PRESETS, CONTACTS),
+    Broken("order: slots of joints", PRESETS, JOINTS),
+    Broken("order: ends of sliders", PRESETS, AXIS),
+    Broken("order: symmetric billiard break", PRESETS, CONTACTS),
+    Broken("order: symmetric bridge", PRESETS, JOINTS),
+    Broken("order: symmetric pile", PRESETS, CONTACTS),
+    Broken("order: symmetric welded cross", PRESETS, JOINTS),
+    Broken("order: speeds of the halves", PRESETS, CONTACTS),
 ]
 
 

@@ -11,18 +11,18 @@ from tests.engine.promises import mechanisms
 from tests.engine.promises.cases import Broken, assert_kept, cases
 from tests.engine.promises.mechanisms import MECHANISMS, STEPS, Mechanism
 from tests.engine.promises.plan import G, Joint, Plan, bar, disc
-from tests.engine.promises.promise import Promise
+from tests.engine.promises.promise import PRESETS, Promise
 from tests.engine.promises.rigid_bodies import RigidBodies
 
-ALL, COARSE = ("draft", "standard", "fine"), ("draft", "standard")
+COARSE = ("draft", "standard")
 LEFT_OVER = "joints are solved one after another: what a pass leaves over pushes as much as the load does"
 SOFTENED = "joints of a light bar between heavy bodies are softened and give way"
 BROKEN = [
-    Broken("virtual work: scissor lift", ALL, LEFT_OVER),
+    Broken("virtual work: scissor lift", PRESETS, LEFT_OVER),
     Broken("virtual work: pantograph", COARSE, LEFT_OVER),
-    Broken("virtual work: Roberval balance", ALL, LEFT_OVER),
-    Broken("virtual work: toggle", ALL, LEFT_OVER),
-    Broken("virtual work: differential pulley", ALL, LEFT_OVER),
+    Broken("virtual work: Roberval balance", PRESETS, LEFT_OVER),
+    Broken("virtual work: toggle", PRESETS, LEFT_OVER),
+    Broken("virtual work: differential pulley", PRESETS, LEFT_OVER),
     Broken("virtual work: four-bar", COARSE, LEFT_OVER),
     Broken("virtual work: rise of a scissor lift, pushed by 95%", ("draft",), LEFT_OVER),
     Broken("virtual work: rise of a scissor lift, pushed by 105%", COARSE, LEFT_OVER),
