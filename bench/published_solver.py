@@ -116,7 +116,7 @@ def _paper_step(context: Context, state: State, controls: Controls, published: P
         angle=ended.angle,
         velocity=ended.velocities.velocity,
         angular_velocity=ended.velocities.omega,
-        joint_impulse=joints_of.store(bodies, joints, state, rules),
+        joint_impulse=joints_of.store(joints, state),
         contact_key=last.key,
         contact_impulse=last.impulse,
     )
@@ -141,7 +141,7 @@ def find(
         a=jnp.asarray(pairs.point_a)[source],
         b=jnp.asarray(pairs.point_b)[source],
         overflow=jnp.maximum(jnp.sum(exists, dtype=jnp.int32) - slots, 0),
-        each_substep=jnp.array(False),
+        unsteady=jnp.zeros_like(bodies.slowed),
         predicted=predict_travel(bodies, shapes, params.dt),
     )
     return contacts.from_points(in_use, bodies, shapes, cache, context, params.dt), order

@@ -60,33 +60,46 @@ def effects_of_levels(capacity: Any) -> Any:
     return Effects.full(capacity).without(*beyond)
 
 
+def packed_worlds(engine: Any, worlds: str) -> tuple[Any, Any, int]:
+    """(packed scene, packed state at the start, number of worlds) of a file."""
+    import jax2d
+    from jax2d.fields import from_dict
+
+    with np.load(worlds) as file:
+        fields = dict(file)
+    starts = [fields.pop(name) for name in STARTS]
+    played = jnp.asarray(fields.pop(PLAYED))
+    scene = from_dict(jax2d.Scene, fields)
+    repeat = partial(jax.tree.map, lambda x: jnp.take(x, played, axis=-1))  # worlds are the last axis of tables
+    packed = jax.jit(repeat)(engine.pack_scene(scene))
+    return packed, jax.jit(repeat)(engine.pack_state(engine.initial_state(scene, *starts))), len(played)
+
+
+def random_controls(key: jax.Array, count: int, room: Any) -> Any:
+    """Controls of `count` worlds, each motor forward, still or back, each thruster on or off."""
+    import jax2d
+
+    motor_key, thruster_key = jax.random.split(key)
+    motor = jax.random.randint(motor_key, (count, room.joints), -1, 2).astype(jnp.float32)
+    thruster = jax.random.randint(thruster_key, (count, room.thrusters), 0, 2).astype(jnp.float32)
+    return jax2d.Controls(motor=motor, thruster=thruster)
+
+
 class Bench:
     """Worlds, and the compiled program that steps them."""
 
     def __init__(self, worlds: str, capacity: dict[str, int], preset: str, count: int, steps: int, seed: int) -> None:
         import jax2d
-        from jax2d.fields import from_dict
 
         options = json.loads(sys.argv[1]) if len(sys.argv) > 1 else {}
         settings = jax2d.preset(preset)
         room = jax2d.Capacity(**known_to(jax2d.Capacity, capacity))
         engine = jax2d.Engine(room, settings=settings, backend=backend_of(options), effects=effects_of_levels(room))
-        with np.load(worlds) as file:
-            fields = dict(file)
-        starts = [fields.pop(name) for name in STARTS]
-        played = jnp.asarray(fields.pop(PLAYED))
-        scene = from_dict(jax2d.Scene, fields)
-        repeat = partial(jax.tree.map, lambda x: jnp.take(x, played, axis=-1))  # worlds are the last axis of tables
-        self._scene = jax.jit(repeat)(engine.pack_scene(scene))
-        self._state = jax.jit(repeat)(engine.pack_state(engine.initial_state(scene, *starts)))
+        self._scene, self._state, _ = packed_worlds(engine, worlds)
         self._bodies = jax.jit(engine.bodies)
-        joints, thrusters = engine.capacity.joints, engine.capacity.thrusters
 
         def launch(packed: Any, key: jax.Array, packed_scene: Any) -> tuple[Any, None]:
-            motor_key, thruster_key = jax.random.split(key)
-            motor = jax.random.randint(motor_key, (count, joints), -1, 2).astype(jnp.float32)
-            thruster = jax.random.randint(thruster_key, (count, thrusters), 0, 2).astype(jnp.float32)
-            controls = jax2d.Controls(motor=motor, thruster=thruster)
+            controls = random_controls(key, count, engine.capacity)
             return engine.step_packed(packed_scene, packed, controls, num_steps=FRAME_SKIP)[0], None
 
         @partial(jax.jit, donate_argnums=1)

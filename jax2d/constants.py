@@ -30,25 +30,6 @@ class Constants:
         "limits that span more say how often a body has turned: it is not wrapped",
         "2 pi: what leans into one limit comes out at the other",
     )
-    # Joints
-    max_share_of_welds: float = _constant(
-        1.6,
-        "1",
-        "the shares of a body in its joints, above which they are softened (softened_joints.py)",
-        "1.5: a beam gives way at the wall; 1.7: some trees of welds gain energy",
-    )
-    light_share: float = _constant(
-        0.9,
-        "1",
-        "a body with more of a joint's movement is light beside the other one",
-        "0.97: a light arm between a wall and a weight gains energy",
-    )
-    max_lever: float = _constant(
-        6.0,
-        "1",
-        "radii of gyration from a body's centre to an anchor, above which a joint is softened: beyond any shape",
-        "3: a load welded beside a cart is meant; no anchor inside a convex shape is at more than 2.8",
-    )
     # Geometry
     far_distance: float = _constant(
         1e30, "m", "a distance of what does not exist", "float32 overflows when squared: compared only"
@@ -96,6 +77,12 @@ class Constants:
         "a face covered by more is met in full, however thin",
         "1: thin shapes pass each other's ends",
     )
+    touching_distance: float = _constant(
+        1e-5,
+        "m",
+        "surfaces nearer than this touch: a gap that a contact has closed is 0 to rounding",
+        "0: rounding decides whether what touches is soft, and a world that is turned moves otherwise",
+    )
     resting_speed: float = _constant(
         0.1,
         "m/s",
@@ -129,7 +116,7 @@ class Constants:
     energy_passes: int = _constant(
         12,
         "a sub-step",
-        "relax passes are repeated so often where a world has gained energy",
+        "relax passes are repeated so often where an island has gained energy",
         "0: what is jammed and slips free is thrown, at 5 m/s mostly and at 25 at worst",
     )
     energy_passes_before_reset: int = _constant(
@@ -151,16 +138,16 @@ class Constants:
     safe_core_share: float = _constant(
         0.5, "of the smaller core", "a pair that moves farther in a step could pass through", "1: thin pairs tunnel"
     )
-    max_interruptions: int = _constant(
+    max_stops: int = _constant(
         8,
-        "a step",
-        "sub-steps are stopped so often to find contacts again",
+        "a sub-step",
+        "islands are stopped so often to find their contacts again",
         "fewer: fast crowds tunnel; more: time only",
     )
     limited_passes: int = _constant(
         8,
         "a sub-step",
-        "where speed limits act, what they take from contacts is solved for so often again",
+        "where speed limits act, islands are solved again so often for what they take from contacts",
         "0: what spins at its limit passes the end of a wall",
     )
     sweep_rounding: float = _constant(
@@ -172,31 +159,38 @@ class Constants:
     # Servos
     servo_braking_share: float = _constant(
         0.5,
-        "of what the motor gives the two bodies alone",
-        "slows down a servo before its position; the rest is for loads",
-        "1: it overshoots with any load",
+        "of what the motor gives the joint with all that is held",
+        "slows down a servo before its position; the rest is for forces",
+        "1: it overshoots with any force",
     )
     # Joints
-    joint_passes: int = _constant(
-        2,
-        "a pass with bias",
-        "joints of a chain agree before anything moves",
-        "1: double pendulums gain a tenth of their energy in a second",
+    joint_compliance: float = _constant(
+        1e-3,
+        "of the inverse masses of two bodies",
+        "a joint yields by it, so that no impulse is without bound",
+        "0: a taut bridge tears; 4e-3: a toggle near its dead centre is 4 % off",
     )
-    bend_share: float = _constant(
-        0.8,
-        "of h omega^2 r / 2",
-        "what anchors leave their circles by is foreseen to this share",
-        "1: chains gain energy; 0: a pendulum loses a tenth of its energy a minute",
+    joint_rounding: float = _constant(
+        4e-6,
+        "of the inverse effective mass of a joint",
+        "elimination in float32 rounds off by less",
+        "0: tangles of light parts on long arms are NaN",
     )
+    axial_changes: int = _constant(
+        8,
+        "a round",
+        "so often what motors and limits hold is chosen again",
+        "4: of an arm of six motors that lashes about 3 % have not their speed",
+    )
+    # Springs
+    spring_passes: int = _constant(2, "a pass with bias", "rods in a row agree", "1: rows of rods gain energy")
     # Bounces
     max_impacts: int = _constant(
         32,
-        "a step",
+        "an island and step",
         "an impact is passed on from disc to disc so many times",
         "fewer: what is left of it stops in a long row of discs",
     )
-    joint_passes_of_bounce: int = _constant(2, "a round", "along a chain a bounce goes joint by joint")
     bounce_tolerance: float = _constant(0.002, "of the speed to leave with", "closer than this a bounce has converged")
     min_gained_share: float = _constant(
         0.001,
@@ -211,9 +205,9 @@ class Constants:
         2.0, "of a push", "more than this is no answer to the push", "larger: oscillation"
     )
     energy_rounding: float = _constant(
-        1e-5, "of the energy", "sums in float32 may be wrong by it", "0: exact bounces shrink"
+        1e-5, "of what bounces give", "sums in float32 may be wrong by it", "0: exact bounces shrink"
     )
-    # Features tell a contact's points apart between steps; points of a pair ascend in them.
+    # Features tell a contact's points apart between steps.
     feature_edge: int = _constant(8, "a step of the reference edge's number", "8 vertices at most")
     feature_flipped: int = _constant(64, "flag", "the reference face is that of b")
     feature_corner_outside: int = _constant(128, "flag", "corner against corner, apart")

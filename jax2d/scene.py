@@ -296,7 +296,7 @@ class Touching:
     at_end: Array  # [n, words] uint32, after the last physics step of the call
     during: Array  # [n, words] uint32, in any physics step of the call
     overflow: Array  # [] int32, contacts that found no slot in this call (0 unless capacity is exceeded)
-    limited: Array  # [] int32, times a speed limit of the settings acted in this call
+    limited: Array  # [] int32, bodies on which a speed limit of the settings acted, each once a step
     invalid_controls: Array  # [] int32, controls of this call that were out of range (clamped) or NaN (taken as 0)
     invalid_scene: Array  # [] int32, what `num_invalid` counts: it is off, or clamped
     missing: Array  # [] int32, bits of `effects.EFFECTS` that the scene calls for and the engine was compiled without

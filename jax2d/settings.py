@@ -37,7 +37,7 @@ POSITIVE = {  # fields that cannot be 0, as others can
     "max_speed": "nothing would move; the largest that a body may have, in m/s, is above 0",
     "max_angular_speed": "nothing would turn; the largest that a body may have, in rad/s, is above 0",
     "contact_hertz": "contacts would hold nothing apart; give their stiffness in Hz",
-    "joint_hertz": "joints would hold nothing together; give their stiffness in Hz",
+    "spring_hertz": "springs would hold nothing; give the stiffness of the stiffest in Hz",
 }
 
 
@@ -71,11 +71,10 @@ class Settings:
     contact_hertz: float = 45.0  # stiffness, at most contact_hertz_share / h; at 30 a column of 15 boxes buckles
     contact_hertz_share: float = 0.1875
     contact_damping_ratio: float = 10.0
-    joint_hertz: float = 88.0
-    joint_hertz_share: float = 0.367
-    joint_damping_ratio: float = 10.0  # at 2 stretched chains and welded beams ring for seconds
-    softened_hertz_share: float = 0.105  # of joints that hold what is light between heavy bodies (softened_joints.py)
-    softened_damping_ratio: float = 2.0  # at 10 some trees of welds gain energy
+    spring_hertz: float = 88.0  # of the stiffest springs, of ropes and rods, at most spring_hertz_share / h
+    spring_hertz_share: float = 0.367
+    spring_damping_ratio: float = 10.0
+    joint_correction: float = 0.2  # share of the error of a joint that is undone in a sub-step
     push_out_speed: float = 3.0  # m/s, fastest at which overlap is undone
     joint_pull_speed: float = 3.0  # m/s, fastest at which the gap of a joint is closed
     joint_turn_speed: float = 4.0  # rad/s, fastest at which a joint turns back from beyond a limit, or a weld
@@ -164,17 +163,17 @@ class Settings:
 
 
 PRESETS: dict[str, Settings] = {
-    # Half the sub-steps, and contacts and joints half as stiff (both are capped at a share of 1 / h): columns of ten,
+    # Half the sub-steps, and contacts and springs half as stiff (both are capped at a share of 1 / h): columns of ten,
     # loads of 400 times the mass and heavy pendulums are beyond it.
-    "draft": Settings(substeps=2, joint_hertz_share=0.25, joint_damping_ratio=4.0),
+    "draft": Settings(substeps=2, spring_hertz_share=0.25, spring_damping_ratio=4.0),
     "standard": Settings(),
     # Four times the sub-steps, and stiffness that rises with them: otherwise its sag would stay that of `standard`.
     # Overlap is undone more slowly, since stiffer contacts pass that speed on from body to body.
-    "fine": Settings(substeps=16, contact_hertz=1000.0, joint_hertz=1000.0, push_out_speed=2.0, impact_passes=16),
+    "fine": Settings(substeps=16, contact_hertz=1000.0, spring_hertz=1000.0, push_out_speed=2.0, impact_passes=16),
     "paper": Settings(solver="sequential_impulses", substeps=10, base_friction=0.4, friction_mixing="root_sum_square"),
     # For measuring, in float64 (`Engine(..., backend="xla", dtype=jnp.float64)`): in float32 so short a step moves
     # nothing slow. Error of first order in dt, so that half and a quarter of it can be extrapolated from.
-    "reference": Settings(dt=1 / 61440, substeps=1, contact_hertz=1e5, joint_hertz=1e5),
+    "reference": Settings(dt=1 / 61440, substeps=1, contact_hertz=1e5, spring_hertz=1e5),
 }
 
 

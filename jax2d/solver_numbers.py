@@ -38,8 +38,8 @@ class SolverNumbers(NamedTuple):
     max_angular_speed: Scalar
     contact: Softness
     fixed: Softness  # contacts with fixed bodies, which do not yield: twice as stiff
-    joint: Softness
-    softened: Softness  # joints that hold what is light between heavy bodies
+    spring: Softness
+    joint_correction: Scalar
     push_out_speed: Scalar
     joint_pull_speed: Scalar
     joint_turn_speed: Scalar
@@ -61,13 +61,12 @@ class SolverNumbers(NamedTuple):
 def solver_numbers(settings: Settings) -> SolverNumbers:
     h = settings.substep_seconds
     contact_hertz = min(settings.contact_hertz, settings.contact_hertz_share / h)
-    joint_hertz = min(settings.joint_hertz, settings.joint_hertz_share / h)
+    spring_hertz = min(settings.spring_hertz, settings.spring_hertz_share / h)
     derived = {
         "h": h,
         "contact": softness(contact_hertz, settings.contact_damping_ratio, h),
         "fixed": softness(2 * contact_hertz, settings.contact_damping_ratio, h),
-        "joint": softness(joint_hertz, settings.joint_damping_ratio, h),
-        "softened": softness(min(joint_hertz, settings.softened_hertz_share / h), settings.softened_damping_ratio, h),
+        "spring": softness(spring_hertz, settings.spring_damping_ratio, h),
     }
     given = {name: getattr(settings, name) for name in SolverNumbers._fields if name not in derived}
     return SolverNumbers(**given, **derived)

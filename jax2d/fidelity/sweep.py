@@ -70,7 +70,7 @@ def _around(base: Settings, *, quick: bool) -> Iterator[Settings]:
     if base.solver == "soft_step":
         for rate in (60,) if quick else RATES:
             for count in (8, 16):
-                stiff = base.replace(contact_hertz=STIFF_HERTZ, joint_hertz=STIFF_HERTZ)
+                stiff = base.replace(contact_hertz=STIFF_HERTZ, spring_hertz=STIFF_HERTZ)
                 yield _at(stiff, 1 / rate, count)
 
 

@@ -27,7 +27,6 @@ from jax2d.effects import Effects
 from jax2d.fields import Array, Field, fields_of, num_elements
 from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, only_what_acts, pack_bits
 from jax2d.settings import Settings
-from jax2d.softened_joints import is_softened
 from jax2d.solver_numbers import flat, solver_numbers
 from jax2d.warp.kernel import make_kernel
 from jax2d.warp.layout import (
@@ -39,7 +38,6 @@ from jax2d.warp.layout import (
     scene_floats,
     state_floats,
     whole_numbers,
-    word_constants,
 )
 from jax2d.warp.source import PARAMETERS
 from jax2d.warp.startup import start
@@ -111,7 +109,6 @@ def _worlds_first(rows: Array, *shape: int) -> jax.Array:
 def _scene_tables(scene: Scene) -> SceneTables:
     scene = only_what_acts(scene)
     words = {part: _packed_word(scene, word) for part, word in packed_words().items()}
-    words["joints"] |= is_softened(scene).astype(jnp.int32) << word_constants()["JOINTS_SOFTENED_SHIFT"]
     return SceneTables(
         floats=jnp.concatenate([_worlds_last(field.get(scene), jnp.float32) for field in scene_floats()]),
         ints=jnp.concatenate(

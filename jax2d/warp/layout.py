@@ -29,7 +29,6 @@ REPORT_ROWS = (
     ("CONTACT_IMPULSE", 2),
 )
 WORD_BITS = 31  # of an int32 that stays positive
-DERIVED_BITS = {"joints": ("softened",)}  # of packed words, above those of fields: what follows from the scene
 
 
 def scene_floats() -> list[Field]:
@@ -56,7 +55,7 @@ def packed_words() -> dict[str, dict[Field, int]]:
             word = words.setdefault(field.path[0], {})
             word[field] = field_bits(word)
     for part, word in words.items():
-        assert field_bits(word) + len(DERIVED_BITS.get(part, ())) <= WORD_BITS, f"{part} does not fit a word"
+        assert field_bits(word) <= WORD_BITS, f"{part} does not fit a word"
     return words
 
 
@@ -107,12 +106,10 @@ def cpp_name(field: Field) -> str:
 def word_constants() -> dict[str, int]:
     """JOINTS_A_SHIFT, JOINTS_A_MASK and so on: where numbers stand in packed words."""
     constants = {}
-    for part, word in packed_words().items():
+    for word in packed_words().values():
         for field, shift in word.items():
             constants[f"{cpp_name(field)}_SHIFT"] = shift
             constants[f"{cpp_name(field)}_MASK"] = (1 << (field.bits or 0)) - 1
-        for i, name in enumerate(DERIVED_BITS.get(part, ())):
-            constants[f"{part}_{name}_SHIFT".upper()] = field_bits(word) + i
     return constants
 
 

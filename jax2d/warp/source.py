@@ -37,14 +37,14 @@ NATIVE_FILES = (
     "pairs.h",
     "surfaces.h",
     "contacts.h",
+    "joint_system.h",
     "joint.h",
     "drives.h",
-    "sliders.h",
     "springs.h",
     "joints.h",
     "forces.h",
-    "bounces.h",
     "islands.h",
+    "bounces.h",
     "report.h",
     "paper.h",
     "step.h",
@@ -64,6 +64,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         polygons, circles = min(1, capacity.polygons), min(1, capacity.circles)
     has_pairs = effects.polygon_pairs or effects.polygon_circle_pairs or effects.circle_pairs
     has_joints = effects.revolute_joints or effects.fixed_joints or effects.prismatic_joints
+    joints = effects.joint_slots if has_joints else 0
     sweep = has_pairs and polygons + circles > variant.options.sweep_above_shapes
     values = {
         "CAPACITY_POLYGONS": capacity.polygons,
@@ -73,7 +74,10 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "NUM_POLYGONS": polygons,
         "NUM_CIRCLES": circles,
         "NUM_SHAPES": polygons + circles,
-        "NUM_JOINTS": effects.joint_slots if has_joints else 0,
+        "NUM_JOINTS": joints,
+        "JOINT_WORDS": max(1, -(-joints // 32)),
+        "HAS_AXES": int(bool(effects.motors or effects.joint_limits)),  # joints drive or bound what is along their axes
+        "HELD_ROWS": 3 if effects.fixed_joints or effects.motors or effects.joint_limits else 2,  # of a joint
         "NUM_SPRINGS": capacity.springs if effects.springs else 0,
         "NUM_THRUSTERS": effects.thruster_slots if effects.thrusters else 0,
         "SKIPPED_POLYGONS": capacity.polygons - polygons,

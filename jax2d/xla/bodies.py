@@ -33,7 +33,7 @@ class Bodies(NamedTuple):
     inverse_mass: jax.Array  # [n] 1/kg
     inverse_inertia: jax.Array  # [n] 1/(kg m^2)
     is_kinematic: jax.Array  # [n] bool, moves at its own velocity whatever touches it
-    limited: jax.Array  # [] int32, times a speed limit acted
+    limited: jax.Array  # [] int32, bodies on which a speed limit acted, each once a step
     slowed: jax.Array  # [n] bool, one has acted on it in this step
     wraps: jax.Array  # [n] bool, angles that stay within half a turn
 
@@ -66,13 +66,17 @@ def load(scene: Scene, state: State) -> Bodies:
     )
 
 
-def end_step(bodies: Bodies) -> Bodies:
+def end_step(bodies: Bodies, which: jax.Array | None = None) -> Bodies:
+    """Of the bodies of `which` [n] bool, or all."""
+    if which is None:
+        which = jnp.ones(bodies.angle.shape, bool)
     angle = bodies.angle + bodies.turn
+    angle = jnp.where(bodies.wraps & bodies.is_dynamic, angles.near(angle, 0), angle)
     return bodies._replace(
-        position=bodies.position + bodies.delta,
-        angle=jnp.where(bodies.wraps & bodies.is_dynamic, angles.near(angle, 0), angle),
-        delta=jnp.zeros_like(bodies.delta),
-        turn=jnp.zeros_like(bodies.turn),
+        position=jnp.where(which[:, None], bodies.position + bodies.delta, bodies.position),
+        angle=jnp.where(which, angle, bodies.angle),
+        delta=jnp.where(which[:, None], 0, bodies.delta),
+        turn=jnp.where(which, 0, bodies.turn),
     )
 
 
@@ -95,28 +99,29 @@ def apply_damping(bodies: Bodies, scene: Scene, h: Scalar) -> Bodies:
     )
 
 
-def kinetic_energy(bodies: Bodies, velocities: Velocities) -> jax.Array:
-    """[n] J, with these velocities."""
-    velocity, omega = velocities
+def kinetic_energy(bodies: Bodies, velocities: Velocities, drift: jax.Array) -> jax.Array:
+    """[n] J, with these velocities, seen from what moves at `drift` [n, 2] m/s."""
+    velocity, omega = velocities.velocity - drift, velocities.omega
     mass, inertia = vec2.inverse_or_zero(bodies.inverse_mass), vec2.inverse_or_zero(bodies.inverse_inertia)
     return 0.5 * (mass * vec2.dot(velocity, velocity) + inertia * omega * omega)
 
 
-def limit_speeds(bodies: Bodies, max_speed: Scalar, max_omega: Scalar) -> Bodies:
-    """Speed limits; each time one acts is counted."""
+def limit_speeds(
+    bodies: Bodies, max_speed: Scalar, max_omega: Scalar, which: jax.Array | None = None
+) -> tuple[Bodies, jax.Array]:
+    """Speed limits of the bodies of `which` [n] bool, or all. Also where one acts, [n] bool."""
     velocity, omega = bodies.velocities
-    moves = bodies.moves
+    moves = bodies.moves if which is None else bodies.moves & which
     speed_squared = vec2.dot(velocity, velocity)
     too_fast = moves & (speed_squared > max_speed * max_speed)
     slowed = max_speed / jnp.sqrt(jnp.where(too_fast, speed_squared, 1))
     velocity = jnp.where(too_fast[:, None], velocity * slowed[:, None], velocity)
     spins_too_fast = moves & (jnp.abs(omega) > max_omega)
     omega = jnp.where(spins_too_fast, jnp.sign(omega) * max_omega, omega)
-    return bodies._replace(
-        velocities=Velocities(velocity, omega),
-        limited=bodies.limited + jnp.sum(too_fast, dtype=jnp.int32) + jnp.sum(spins_too_fast, dtype=jnp.int32),
-        slowed=bodies.slowed | too_fast | spins_too_fast,
-    )
+    acts = too_fast | spins_too_fast
+    limited = bodies.limited + jnp.sum(acts & ~bodies.slowed, dtype=jnp.int32)
+    slower = bodies._replace(velocities=Velocities(velocity, omega), limited=limited, slowed=bodies.slowed | acts)
+    return slower, acts
 
 
 def is_slowed(bodies: Bodies, pair: Pair) -> jax.Array:
@@ -125,10 +130,11 @@ def is_slowed(bodies: Bodies, pair: Pair) -> jax.Array:
     return jnp.any((pair.is_a | pair.is_b) & bodies.slowed, axis=-1)
 
 
-def move(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scalar) -> Bodies:
-    """Semi-implicit Euler: position from the velocity just solved, within the speed limits."""
-    bodies = limit_speeds(bodies, max_speed, max_omega)
-    moves = bodies.moves
+def move(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scalar, which: jax.Array | None = None) -> Bodies:
+    """Semi-implicit Euler: position from the velocity just solved, within the speed limits. Of the bodies of `which`
+    [n] bool, or all."""
+    bodies, _ = limit_speeds(bodies, max_speed, max_omega, which)
+    moves = bodies.moves if which is None else bodies.moves & which
     return bodies._replace(
         delta=bodies.delta + jnp.where(moves[:, None], bodies.velocities.velocity * dt, 0),
         turn=bodies.turn + jnp.where(moves, bodies.velocities.omega * dt, 0),

@@ -1,10 +1,10 @@
 """Restitution: what hit in a step leaves with its share of the speed of the impact. What is jointed to it or touches it
 has a part in that.
 
-Once the sub-steps are solved, rounds of passes over joints and contacts go on until every bounce has its speed. They
-change velocities only: impulses for warm-starting the next step are those of before, since a bounce does not last.
-Bounces give a world no more energy than the step began with, and motors, thrusters and moving surfaces have added
-since."""
+Once the sub-steps are solved, rounds of passes over joints and contacts of an island go on until its every bounce has
+its speed. They change velocities only: impulses for warm-starting the next step are those of before, since a bounce
+does not last. Bounces give an island no more energy than it had when contacts were found, and motors, thrusters and
+moving surfaces have added since."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jax2d.solver_numbers import Scalar, SolverNumbers
 from jax2d.xla import joints as joints_of
 from jax2d.xla import springs as springs_of
 from jax2d.xla import vec2
-from jax2d.xla.active_set import ActiveSet
+from jax2d.xla.active_set import ActiveSet, has_one_of, marked
 from jax2d.xla.bodies import Bodies, Velocities, pair_velocities, scatter_velocities
 from jax2d.xla.branching import choose, in_any_world
 from jax2d.xla.contact_solver import (
@@ -34,7 +34,9 @@ from jax2d.xla.contact_solver import (
 )
 from jax2d.xla.contacts import Contacts, hits
 from jax2d.xla.impact_propagation import skips_bounces
-from jax2d.xla.joints import Joints
+from jax2d.xla.islands import Islands, by_body
+from jax2d.xla.joints import Joints, PlacedJoints
+from jax2d.xla.rows import Constraints
 from jax2d.xla.rules import Rules
 
 
@@ -43,23 +45,31 @@ class Round(NamedTuple):
     joints: Joints
     contacts: Contacts
     targets: BounceTargets
-    converged: jax.Array  # [] bool, everything leaves with its speed, as far as any push can make it
-    friction_applied: jax.Array  # [] bool, friction has acted
-    done: jax.Array  # [] bool
+    going: jax.Array  # [n] bool, bodies of islands that are not done
+    settled: jax.Array  # [n] bool, in their islands everything leaves with its speed, as far as any push can make it
+    friction_applied: jax.Array  # [n] bool, friction has acted
 
 
 class EnergyLimit(NamedTuple):
     """Energy that bounces must not exceed."""
 
-    max_energy: jax.Array  # [] J, see `energy`
-    carried: jax.Array  # [] J, what moving surfaces and kinematic bodies have done
+    max_energy: jax.Array  # [n] J, see `energy`: summed over an island
+    carried: jax.Array  # [n] J, what moving surfaces and kinematic bodies have done
     gravity: jax.Array  # [2] m/s^2
 
 
+class Solved(NamedTuple):
+    """A world while it is solved."""
+
+    bodies: Bodies
+    joints: Joints
+    contacts: Contacts
+
+
 def bounce(
-    bodies: Bodies,
-    joints: Joints,
-    contacts: Contacts,
+    now: Solved,
+    placed: PlacedJoints,
+    islands: Islands,
     rebound_target: jax.Array,
     energy_limit: EnergyLimit,
     params: SolverNumbers,
@@ -67,45 +77,40 @@ def bounce(
 ) -> tuple[Bodies, jax.Array | None]:
     """Bodies after the bounces of one world, and, where contacts are reported, what contacts gave them by that, [K, 2]
     N s; `rebound_target` [K] m/s is zero where a contact does not bounce."""
-
-    everything = ActiveSet.everything(bodies)
+    bodies, joints, contacts = now
 
     def rounds() -> tuple[Velocities, jax.Array | None]:
         def one_round(now: Round, index: jax.Array) -> tuple[Round, None]:
             bodies, joints, contacts = now.bodies, now.joints, now.contacts
-            for _ in range(C.joint_passes_of_bounce):
-                bodies, joints, _ = joints_of.solve_soft(
-                    bodies, joints, params, everything, use_bias=False, motors=False
-                )
-            with_friction = ~now.friction_applied & (now.converged | (index == rules.bounce_rounds - 1))
-            bodies, contacts, targets, converged = solve_bounces(
-                bodies, contacts, now.targets, index == 0, with_friction, params
+            active = ActiveSet.of(now.going)
+            bodies, joints, _ = joints_of.solve_soft(bodies, joints, placed, params, active, use_bias=False)
+            is_last = index == rules.bounce_rounds - 1
+            with_friction = now.going & ~now.friction_applied & (now.settled | is_last)
+            bodies, contacts, targets, unsettled = solve_bounces(
+                bodies, contacts, now.targets, index == 0, active, with_friction, params
             )
-            after = Round(
-                bodies,
-                joints,
-                contacts,
-                targets,
-                converged,
-                now.friction_applied | with_friction,
-                now.friction_applied & converged,
-            )
-            return choose(now.done, now, after), None
+            settled = ~islands.whole(marked(bodies, contacts.pair, unsettled))
+            going = now.going & ~(settled & now.friction_applied)
+            friction_applied = now.friction_applied | with_friction
+            return Round(bodies, joints, contacts, targets, going, settled, friction_applied), None
 
         targets = BounceTargets(
             rebound_target, rows_now(bodies, contacts, -0.5 * params.h).mass_normal, contacts.approach
         )
-        no, none_bounces = jnp.array(False), ~jnp.any(rebound_target > 0)
-        start = Round(bodies, joints, contacts, targets, converged=no, friction_applied=no, done=none_bounces)
+        going = islands.whole(marked(bodies, contacts.pair, rebound_target > 0))
+        no = jnp.zeros_like(going)
+        start = Round(bodies, joints, contacts, targets, going, settled=no, friction_applied=no)
         end, _ = jax.lax.scan(one_round, start, jnp.arange(rules.bounce_rounds))
-        carried = carried_work(end.bodies, end.joints, end.contacts, params.h)
+        carried = carried_work(end.bodies, end.joints, placed.rows, end.contacts, params.h)
         by_bounces = energy_limit._replace(carried=carried - energy_limit.carried)
-        velocities, share = limit(bodies, end.bodies, by_bounces, params.h)
+        velocities, share = limit(bodies, end.bodies, islands, by_bounces, params.h)
         if not rules.report_contacts:
             return velocities, None
         normal = end.contacts.impulse_normal - contacts.impulse_normal
         tangent = end.contacts.impulse_tangent - contacts.impulse_tangent
-        return velocities, share * jnp.stack([normal, tangent], -1)
+        is_of = (contacts.pair.is_a | contacts.pair.is_b) & bodies.is_dynamic
+        of_contact = jnp.min(jnp.where(is_of, share, 1), axis=1)
+        return velocities, of_contact[:, None] * jnp.stack([normal, tangent], -1)
 
     # Worlds are stepped together, and mostly nothing bounces in any of them.
     none = jnp.zeros((*rebound_target.shape, 2), rebound_target.dtype) if rules.report_contacts else None
@@ -116,38 +121,58 @@ def bounce(
 
 
 def energy(bodies: Bodies, velocities: Velocities, gravity: jax.Array, h: Scalar) -> jax.Array:
-    """J, that of semi-implicit Euler, which keeps m |v + g h / 2|^2 / 2 - m g.x in free flight to the last digit; zero
-    of height is where each body was when contacts were found."""
+    """[n] J, that of semi-implicit Euler, which keeps m |v + g h / 2|^2 / 2 - m g.x in free flight to the last digit;
+    zero of height is where each body was when contacts were found."""
     mass, inertia = vec2.inverse_or_zero(bodies.inverse_mass), vec2.inverse_or_zero(bodies.inverse_inertia)
     midway = velocities.velocity + 0.5 * h * gravity
     kinetic = 0.5 * (mass * vec2.dot(midway, midway) + inertia * velocities.omega * velocities.omega)
-    return jnp.sum(kinetic - mass * vec2.dot(bodies.delta, gravity))
+    return kinetic - mass * vec2.dot(bodies.delta, gravity)
 
 
-def carried_work(bodies: Bodies, joints: Joints, contacts: Contacts, h: Scalar) -> jax.Array:
-    """J, what moving surfaces and kinematic bodies have done in this sub-step."""
-    by_contacts, by_joints = surface_work(bodies, contacts, h), joints_of.kinematic_work(bodies, joints)
-    return jnp.sum(by_contacts) + jnp.sum(by_joints) + jnp.sum(springs_of.kinematic_work(bodies, joints.springs))
+def carried_work(bodies: Bodies, joints: Joints, rows: Constraints, contacts: Contacts, h: Scalar) -> jax.Array:
+    """[n] J, what moving surfaces and kinematic bodies have done in this sub-step."""
+    parts = (
+        (contacts.pair, surface_work(bodies, contacts, h)),
+        (joints.pair, joints_of.kinematic_work(bodies, joints, rows)),
+        (joints.springs.pair, springs_of.kinematic_work(bodies, joints.springs)),
+    )
+    return by_body(bodies, parts)
 
 
-def limit(before: Bodies, after: Bodies, energy_limit: EnergyLimit, h: Scalar) -> tuple[Velocities, jax.Array]:
-    """Scales changes of velocity so that bounces leave no more energy than there is. Where several bodies, joints or
-    friction share in an impact, restitution contact by contact may request more. Then everything gets the same share of
-    its change of velocity, returned too: joints and contacts stay solved. What moving surfaces have done to what
-    bounced is theirs to give."""
-    max_energy, carried, gravity = energy_limit
+def driven_work(bodies: Bodies, joints: Joints, rows: Constraints) -> jax.Array:
+    """[n] J, what motors and springs have done in this sub-step."""
+    parts = (
+        (joints.pair, joints_of.motor_work(bodies, joints, rows)),
+        (joints.springs.pair, springs_of.work(bodies, joints.springs)),
+    )
+    return by_body(bodies, parts)
+
+
+def limit(
+    before: Bodies, after: Bodies, islands: Islands, energy_limit: EnergyLimit, h: Scalar
+) -> tuple[Velocities, jax.Array]:
+    """Scales changes of velocity so that bounces leave an island no more energy than there is. Where several bodies,
+    joints or friction share in an impact, restitution contact by contact may request more. Then all of the island gets
+    the same share of its change of velocity, returned too, [n]: joints and contacts stay solved. What moving surfaces
+    have done to what bounced is theirs to give."""
+    max_energy, carried, gravity = islands.sums(energy_limit.max_energy), energy_limit.carried, energy_limit.gravity
     mass, inertia = vec2.inverse_or_zero(before.inverse_mass), vec2.inverse_or_zero(before.inverse_inertia)
     change = jax.tree.map(jnp.subtract, after.velocities, before.velocities)
     midway = before.velocities.velocity + 0.5 * h * gravity
-    linear = jnp.sum(mass * vec2.dot(midway, change.velocity) + inertia * before.velocities.omega * change.omega)
-    linear -= carried
-    quadratic = 0.5 * jnp.sum(mass * vec2.dot(change.velocity, change.velocity) + inertia * change.omega**2)
-    was = energy(before, before.velocities, gravity, h)
-    too_much = (was + linear + quadratic > max_energy * (1 + C.energy_rounding)) & (quadratic > 0)
+    linear = mass * vec2.dot(midway, change.velocity) + inertia * before.velocities.omega * change.omega
+    linear = islands.sums(linear - carried)
+    quadratic = islands.sums(
+        0.5 * (mass * vec2.dot(change.velocity, change.velocity) + inertia * change.omega * change.omega)
+    )
+    was = islands.sums(energy(before, before.velocities, gravity, h))
+    too_much = (was + linear + quadratic > max_energy + C.energy_rounding * quadratic) & (quadratic > 0)
     root = vec2.sqrt_or_zero(linear * linear + 4 * quadratic * jnp.maximum(max_energy - was, 0))
     share = jnp.clip((root - linear) / (2 * jnp.where(too_much, quadratic, 1)), 0, 1)
-    limited = jax.tree.map(
-        lambda x, dx, y: jnp.where(too_much, x + share * dx, y), before.velocities, change, after.velocities
+    velocity = before.velocities.velocity + share[:, None] * change.velocity
+    omega = before.velocities.omega + share * change.omega
+    limited = Velocities(
+        jnp.where(too_much[:, None], velocity, after.velocities.velocity),
+        jnp.where(too_much, omega, after.velocities.omega),
     )
     return limited, jnp.where(too_much, share, 1)
 
@@ -165,17 +190,19 @@ def solve_bounces(
     contacts: Contacts,
     targets: BounceTargets,
     is_first: jax.Array,
+    active: ActiveSet,
     with_friction: jax.Array,
     params: SolverNumbers,
 ) -> tuple[Bodies, Contacts, BounceTargets, jax.Array]:
-    """A relax pass in which what bounces leaves with its speed, with friction where requested. Also whether all of it
-    already left, as far as any push can make it."""
+    """A relax pass in which what bounces leaves with its speed, with friction for bodies of `with_friction` [n] bool.
+    Also where it did not leave with it yet, [K] bool, as far as any push can make it."""
     separation = current_separation(bodies, contacts)
     # Where an impact went through, nothing is left to be closed.
-    apart = jnp.where(contacts.of_disc & contacts.is_impact, 0, jnp.maximum(separation, 0) / params.h)
+    is_closed = (separation <= C.touching_distance) | (contacts.of_disc & contacts.is_impact)
+    apart = jnp.where(is_closed, 0, separation / params.h)
 
     def solve(velocities: Velocities, row: tuple) -> tuple[Velocities, tuple]:
-        c, bounce, apart, skips = row
+        c, bounce, apart, is_left_out, with_friction = row
         before = of = pair_velocities(c.pair, velocities)
         vn = normal_speed(of, c)
         bounces = bounce.speed > 0
@@ -190,17 +217,19 @@ def solve_bounces(
         if rolling_total is not None:
             rolling_total = jnp.where(has_friction, rolling_total, c.rolling_impulse)
         totals = (normal_total, tangent_total, rolling_total)
-        of, totals = choose(skips, (before, (c.impulse_normal, c.impulse_tangent, c.rolling_impulse)), (of, totals))
-        after = BounceTargets(bounce.speed, mass, vn)
-        return scatter_velocities(velocities, c.pair, before, of), (*totals, after, has_converged | ~bounces)
+        solved = (of, totals, BounceTargets(bounce.speed, mass, vn), bounces & ~has_converged)
+        unsolved = (before, (c.impulse_normal, c.impulse_tangent, c.rolling_impulse), bounce, jnp.array(False))
+        of, totals, after, is_unsettled = choose(is_left_out, unsolved, solved)
+        return scatter_velocities(velocities, c.pair, before, of), (*totals, after, is_unsettled)
 
-    velocities, (normal, tangent, rolling, targets, converged) = jax.lax.scan(
-        solve,
-        bodies.velocities,
-        (rows_now(bodies, contacts, -0.5 * params.h), targets, apart, skips_bounces(contacts, separation)),
+    is_left_out = skips_bounces(contacts, separation) | ~active.includes(contacts.pair)
+    has_friction = has_one_of(contacts.pair, with_friction)
+    rows = rows_now(bodies, contacts, -0.5 * params.h)
+    velocities, (normal, tangent, rolling, targets, unsettled) = jax.lax.scan(
+        solve, bodies.velocities, (rows, targets, apart, is_left_out, has_friction)
     )
     contacts = with_impulses(contacts._replace(rolling_impulse=rolling), normal, tangent)
-    return bodies._replace(velocities=velocities), contacts, targets, jnp.all(converged)
+    return bodies._replace(velocities=velocities), contacts, targets, unsettled
 
 
 def update_secant_mass(

@@ -119,7 +119,7 @@ def solve_soft(
     """One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes back the
     velocity that the push added, and applies friction. Also the bodies [n] whose impacts are to be shared out."""
     separation = current_separation(bodies, contacts)
-    is_apart = separation > 0
+    is_apart = separation > C.touching_distance
     bias = jnp.where(is_apart, separation / params.h, 0)  # speculative: may close the gap, not more
     mass_scale, impulse_scale = jnp.ones_like(separation), jnp.zeros_like(separation)
     if use_bias:
@@ -131,14 +131,15 @@ def solve_soft(
         mass_scale = jnp.where(is_apart, mass_scale, soft.mass_scale)
         impulse_scale = jnp.where(is_apart, impulse_scale, soft.impulse_scale)
     included = active.includes(contacts.pair)
-    large = jnp.where(active.again, C.settled_speed, C.shared_speed)
-    contacts = contacts._replace(is_impact=contacts.is_impact | (active.again & included))
+    shares = active.shares(contacts.pair)
+    large = jnp.where(shares, C.settled_speed, C.shared_speed)
+    contacts = contacts._replace(is_impact=contacts.is_impact | shares)
 
     ahead = 0.5 * params.h if use_bias else -0.5 * params.h  # with bias the sub-step is to come, without it is past
 
     def solve(carry: tuple[Velocities, Impact], row: tuple) -> tuple[tuple[Velocities, Impact], tuple]:
         velocities, first = carry
-        c, bias, mass_scale, impulse_scale, face, is_impact, is_second, included = row
+        c, bias, mass_scale, impulse_scale, face, is_impact, is_second, included, large = row
         before = pair_velocities(c.pair, velocities)
         wanted = bias + closes_by(before, c, face)
         impulse = -c.mass_normal * (mass_scale * normal_speed(before, c) + wanted) - impulse_scale * c.impulse_normal
@@ -168,7 +169,7 @@ def solve_soft(
         max_spin=jnp.full_like(separation, params.max_angular_speed),
     )
     none = jax.tree.map(lambda x: jnp.zeros_like(x[0]), Impact(rows, face, bias, bias))
-    xs = (rows, bias, mass_scale, impulse_scale, face, contacts.is_impact, contacts.is_second, included)
+    xs = (rows, bias, mass_scale, impulse_scale, face, contacts.is_impact, contacts.is_second, included, large)
     (velocities, _), (normal, tangent, rolling, first_normal, first_tangent, changed) = jax.lax.scan(
         solve, (bodies.velocities, none), xs
     )

@@ -11,16 +11,17 @@ from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Capacity, Scene
 from jax2d.solver_numbers import Scalar, SolverNumbers
 from jax2d.xla import vec2
+from jax2d.xla.active_set import has_one_of
 from jax2d.xla.bodies import Bodies, Pair, pair_mass, pair_up, pair_velocities, relative_velocity
 from jax2d.xla.geometry import Geometry
 from jax2d.xla.manifolds import Points
 from jax2d.xla.pairs import collide, pair_list
-from jax2d.xla.prediction import TravelPrediction, margins, predict_travel
+from jax2d.xla.prediction import TravelPrediction, margins, predict_travel, predicted_travel
 from jax2d.xla.rules import Rules
 
 
 class Contacts(NamedTuple):
-    """`K` slots; those in use come first, in ascending order of keys, and are solved in this order."""
+    """`K` slots; those in use come first, in the order of pairs, and are solved in this order."""
 
     key: jax.Array  # [K] int32, -1 where free
     pair: Pair  # of [K]
@@ -52,7 +53,7 @@ class Contacts(NamedTuple):
     is_second: jax.Array  # [K] bool, of two points of one pair
     of_disc: jax.Array  # [K] bool, b is a disc: the two meet in one point
     overflow: jax.Array  # [] int32, points that found no slot
-    each_substep: jax.Array  # [] bool, what is found does not hold for the whole step: something turns or hits too fast
+    unsteady: jax.Array  # [n] bool, their contacts do not hold for the whole step: they turn or hit too fast
     predicted: TravelPrediction
 
 
@@ -98,7 +99,7 @@ class PointsInUse(NamedTuple):
     a: jax.Array  # [K] int32
     b: jax.Array
     overflow: jax.Array
-    each_substep: jax.Array
+    unsteady: jax.Array
     predicted: TravelPrediction
 
 
@@ -109,10 +110,11 @@ def find(
     context: Context,
     dt: Scalar,
     is_start: jax.Array | bool = True,
+    which: jax.Array | None = None,
 ) -> Contacts:
     """Points of all pairs that may touch within `dt`, compacted into the slots of `cache`. `is_start` [] bool: nothing
-    has acted yet in this sub-step."""
-    found = _points_in_use(bodies, geometry, context, dt, slots=cache.key.shape[0])
+    has acted yet in this sub-step. `which` [n] bool: of these alone, with each other and what is fixed."""
+    found = _points_in_use(bodies, geometry, context, dt, slots=cache.key.shape[0], which=which)
     return from_points(found, bodies, geometry, cache, context, dt, is_start)
 
 
@@ -127,7 +129,7 @@ def from_points(
 ) -> Contacts:
     """Contacts at points that were found, with the impulses of the step before."""
     scene, params, rules, _ = context
-    points, a, b, overflow, each_substep, predicted = found
+    points, a, b, overflow, unsteady, predicted = found
     pair = pair_up(bodies, a, b, points.exists)
     friction_a, friction_b = scene.shapes.friction[a], scene.shapes.friction[b]
     restitution = jnp.minimum(scene.shapes.restitution[a], scene.shapes.restitution[b])
@@ -157,7 +159,8 @@ def from_points(
         bounces = are_discs & ~against_fixed & hits(restitution, approach, params)
         of_centres = bodies.velocities.velocity[b] - bodies.velocities.velocity[a]
         bounces &= _meet_aside(points, approach, of_centres, d, dt)
-        each_substep |= jnp.any(points.exists & (hard | bounces))
+        is_unsteady = points.exists & (hard | bounces)
+        unsteady |= jnp.any((pair.is_a | pair.is_b) & is_unsteady[:, None], axis=0) & bodies.moves
     return Contacts(
         key=key,
         pair=pair,
@@ -185,7 +188,7 @@ def from_points(
         kinematic_a=bodies.is_kinematic[a] & points.exists,
         kinematic_b=bodies.is_kinematic[b] & points.exists,
         overflow=overflow,
-        each_substep=each_substep,
+        unsteady=unsteady,
         predicted=predicted,
     )
 
@@ -197,6 +200,7 @@ def _points_in_use(
     dt: Scalar,
     *,
     slots: int,
+    which: jax.Array | None = None,
 ) -> PointsInUse:
     scene, params, rules, capacity = context
     predicted = predict_travel(bodies, geometry, dt)
@@ -205,23 +209,50 @@ def _points_in_use(
     if capacity.shapes == 1:  # no pair at all, one slot
         zeros, none = jnp.zeros((slots, 2), bodies.position.dtype), jnp.zeros(slots, jnp.int32)
         points = Points(zeros, zeros, zeros[:, 0], none, zeros[:, 0], none > 0, none > 0)
-        return PointsInUse(points, none, none, none[0], none[0] > 0, predicted)
+        return PointsInUse(points, none, none, none[0], jnp.zeros_like(bodies.moves), predicted)
     pairs = pair_list(capacity)
     margin = margins(predicted, reach, ahead=is_soft)
     points = collide(geometry, bodies, capacity, margin, dt, params.h, rules)
     # Contact points and normals hold for small turns only: a rod that spins fast sweeps over what they say.
     # So does a bar along which something fast goes meanwhile.
-    turn, arm = jnp.abs(bodies.velocities.omega * dt), geometry.extent - geometry.core
-    swept = ((arm * turn)[:, None] + predicted.distance[None]) * turn[:, None]  # [n, n] m, by one against the other
-    rotates_too_far = is_soft & (arm > 0)[:, None] & (swept > reach)
-    exists = points.exists & scene.shapes.can_touch[pairs.point_a, pairs.point_b]
+    turn = jnp.where(predicted.arm > 0, jnp.abs(bodies.velocities.omega * dt), 0)
+    rotates_too_far = is_soft & (predicted_travel(predicted) * jnp.maximum(turn[:, None], turn[None]) > reach)
     one, other = pairs.point_a, pairs.point_b
-    each_substep = jnp.any(exists & (rotates_too_far[one, other] | rotates_too_far[other, one]))
+    exists = points.exists & scene.shapes.can_touch[one, other]
+    if which is not None:
+        can_be = which | ~bodies.moves
+        exists &= can_be[one] & can_be[other] & (which[one] | which[other])
+    is_unsteady = exists & rotates_too_far[one, other]
+    unsteady = jnp.zeros_like(bodies.moves).at[one].max(is_unsteady).at[other].max(is_unsteady) & bodies.moves
     source = jnp.argsort(~exists, stable=True)[:slots]
     points = jax.tree.map(lambda x: x[source], points._replace(exists=exists))
     overflow = jnp.maximum(jnp.sum(exists, dtype=jnp.int32) - slots, 0)
     a, b = jnp.asarray(pairs.point_a)[source], jnp.asarray(pairs.point_b)[source]
-    return PointsInUse(points, a, b, overflow, each_substep, predicted)
+    return PointsInUse(points, a, b, overflow, unsteady, predicted)
+
+
+def replace_found(old: Contacts, new: Contacts, which: jax.Array) -> Contacts:
+    """Contacts that were found for the bodies of `which` [n] bool in place of theirs; others stay."""
+    slots = new.key.shape[0]
+    stays = has_one_of(old.pair, ~which) & ~has_one_of(old.pair, which)
+    key = jnp.concatenate([old.key, new.key])
+    in_use = jnp.concatenate([stays, new.key >= 0])
+    free = jnp.concatenate([jnp.zeros_like(stays), new.key < 0])
+    last = jnp.iinfo(key.dtype).max
+    source = jnp.argsort(jnp.where(in_use, key >> C.feature_bits, jnp.where(free, last - 1, last)), stable=True)[:slots]
+    per_world = {"overflow", "unsteady", "predicted"}
+    rows = {
+        name: jax.tree.map(lambda x, y: jnp.concatenate([x, y])[source], getattr(old, name), getattr(new, name))
+        for name in Contacts._fields
+        if name not in per_world
+    }
+    by_body = (
+        jnp.where(which[:, None] if x.ndim == 2 else which, x, y)
+        for x, y in zip(new.predicted, old.predicted, strict=True)
+    )
+    predicted = TravelPrediction(*by_body)._replace(apart=new.predicted.apart)
+    overflow = new.overflow + jnp.maximum(jnp.sum(in_use, dtype=jnp.int32) - slots, 0)
+    return Contacts(**rows, overflow=overflow, unsteady=new.unsteady, predicted=predicted)
 
 
 def _hits_hard(

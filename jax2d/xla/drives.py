@@ -17,22 +17,22 @@ class Servo(NamedTuple):
 
     position: jax.Array  # [J] rad or m, that it moves to
     max_speed: jax.Array  # [J] rad/s or m/s
-    deceleration: jax.Array  # [J] rad/s^2 or m/s^2, with which it comes to rest
 
 
-def servo_of(control: jax.Array, speed: jax.Array, lower: jax.Array, upper: jax.Array, *, strength: jax.Array) -> Servo:
-    """`speed`: at control 1, [J] rad/s or m/s; `strength`: what the motor gives the two bodies, rad/s^2 or m/s^2."""
+def servo_of(control: jax.Array, speed: jax.Array, lower: jax.Array, upper: jax.Array) -> Servo:
+    """`speed`: at control 1, [J] rad/s or m/s."""
     middle, reach = 0.5 * (lower + upper), 0.5 * (upper - lower)
     return Servo(
         position=middle + jnp.where(speed < 0, -control, control) * reach,
         max_speed=jnp.abs(speed),
-        deceleration=C.servo_braking_share * strength,
     )
 
 
-def speed_towards(servo: Servo, way: jax.Array, h: Scalar) -> jax.Array:
+def speed_towards(servo: Servo, way: jax.Array, strength: jax.Array, h: Scalar) -> jax.Array:
     """Speed to have for the next h seconds, [J]: the largest from which, losing deceleration x h in each, a servo
-    stands still where it is to be. At the end that is the whole way within h."""
-    distance, lost = jnp.abs(way), 0.5 * servo.deceleration * h
-    braking = vec2.sqrt_or_zero(lost * lost + 2 * servo.deceleration * distance) - lost
+    stands still where it is to be. At the end that is the whole way within h. `strength`: rad/s^2 or m/s^2 that the
+    motor gives the joint with all that is held."""
+    deceleration = C.servo_braking_share * strength
+    distance, lost = jnp.abs(way), 0.5 * deceleration * h
+    braking = vec2.sqrt_or_zero(lost * lost + 2 * deceleration * distance) - lost
     return jnp.sign(way) * jnp.minimum(servo.max_speed, jnp.minimum(braking, distance / h))

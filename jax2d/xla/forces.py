@@ -45,13 +45,14 @@ def apply(bodies: Bodies, thrusters: Thrusters, dt: Scalar) -> Bodies:
 
 
 def work(bodies: Bodies, thrusters: Thrusters, dt: Scalar) -> jax.Array:
-    """J, what they have added to the bodies' energy in `dt`."""
+    """[n] J, what they have added to the bodies' energy in `dt`."""
     arm, force = _in_world(bodies, thrusters)
     at = (
         pick(thrusters.is_on, bodies.velocities.velocity)
         + vec2.left(arm) * pick(thrusters.is_on, bodies.velocities.omega)[:, None]
     )
-    return jnp.sum(jnp.maximum(vec2.dot(force, at) * dt, 0))
+    work = jnp.maximum(vec2.dot(force, at) * dt, 0)
+    return jnp.sum(jnp.where(thrusters.is_on, work[:, None], 0), axis=0)
 
 
 def _in_world(bodies: Bodies, thrusters: Thrusters) -> tuple[jax.Array, jax.Array]:
@@ -74,10 +75,10 @@ def apply_external(bodies: Bodies, controls: Controls, dt: Scalar) -> Bodies:
     )
 
 
-def external_work(bodies: Bodies, controls: Controls, dt: Scalar) -> Scalar:
-    """J, what they have added to the bodies' energy in `dt`."""
+def external_work(bodies: Bodies, controls: Controls, dt: Scalar) -> jax.Array | float:
+    """[n] J, what they have added to the bodies' energy in `dt`."""
     if controls.torque.shape[0] == 0:
         return 0.0
     velocity, omega = bodies.velocities
     power = vec2.dot(controls.force, velocity) + controls.torque * omega
-    return jnp.sum(jnp.where(bodies.is_dynamic, jnp.maximum(power * dt, 0), 0))
+    return jnp.where(bodies.is_dynamic, jnp.maximum(power * dt, 0), 0)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
+from jax2d.xla.active_set import has_one_of, marked
 from jax2d.xla.bodies import (
     Bodies,
     Velocities,
@@ -19,13 +20,14 @@ from jax2d.xla.bodies import (
     pair_velocities,
     scatter_velocities,
 )
-from jax2d.xla.branching import choose, in_any_world
+from jax2d.xla.branching import in_any_world
 from jax2d.xla.contact_solver import normal_speed, rows_of
 from jax2d.xla.contacts import Contacts
+from jax2d.xla.islands import Islands
 
 
 def propagate(
-    bodies: Bodies, v_at_detection: Velocities, contacts: Contacts, rebound_target: jax.Array
+    bodies: Bodies, v_at_detection: Velocities, contacts: Contacts, islands: Islands, rebound_target: jax.Array
 ) -> tuple[jax.Array, Contacts]:
     """`rebound_target` [K] m/s, the speeds that bounces aim at, 0 where nothing bounces, and the contacts. Those that
     passed an impact on are impacts themselves: their impulses do not last. `v_at_detection`: velocities when contacts
@@ -33,42 +35,47 @@ def propagate(
     passes_on = _passes_on(contacts)
     hit = _bodies_of(contacts, passes_on & (rebound_target > 0))
     next_in_line = passes_on & ~contacts.against_fixed & (rebound_target == 0) & (contacts.restitution > 0)
-    is_called_for = jnp.any(next_in_line & _has_one_of(contacts, hit))
+    called_for = islands.whole(marked(bodies, contacts.pair, next_in_line & has_one_of(contacts.pair, hit)))
+    passes_on &= has_one_of(contacts.pair, called_for)
 
     def impacts() -> tuple[jax.Array, jax.Array]:
         none = jnp.zeros_like(hit)
         (velocities, _, again, factor), _ = jax.lax.scan(
-            _impact(contacts, passes_on, rebound_target),
-            (v_at_detection, none, none, jnp.ones_like(rebound_target[0])),
+            _impact(contacts, passes_on, _in_one_island(bodies, contacts, islands), rebound_target),
+            (v_at_detection, none, none, jnp.ones_like(rebound_target)),
             jnp.arange(C.max_impacts),
         )
-        is_passed = is_called_for & passes_on & _has_one_of(contacts, again & bodies.is_dynamic)
+        is_passed = passes_on & has_one_of(contacts.pair, again & bodies.is_dynamic)
         speed = _normal_speed(contacts, velocities)
         return jnp.where(is_passed, jnp.where(speed > C.settled_speed, factor * speed, 0), rebound_target), is_passed
 
     nothing = (rebound_target, jnp.zeros_like(passes_on))
-    rebound_target, is_passed = jax.lax.cond(in_any_world(is_called_for), impacts, lambda: nothing)
+    rebound_target, is_passed = jax.lax.cond(in_any_world(jnp.any(called_for)), impacts, lambda: nothing)
     return rebound_target, contacts._replace(is_impact=contacts.is_impact | is_passed)
 
 
-def _impact(contacts: Contacts, passes_on: jax.Array, rebound_target: jax.Array):
-    """One impact: that of the contact whose bodies approach fastest, if any does."""
+def _impact(contacts: Contacts, passes_on: jax.Array, together: jax.Array, rebound_target: jax.Array):
+    """One impact in each island: that of the contact whose bodies approach fastest, if any does. together [K, K] bool,
+    in one island."""
+    index_of = jnp.arange(passes_on.shape[0])
 
     def impact(carry: tuple, index: jax.Array) -> tuple[tuple, None]:
         velocities, once, again, factor = carry
         closing = jnp.where(passes_on, -_normal_speed(contacts, velocities), 0)
-        k = jnp.argmax(closing)
-        speed, restitution, normal = closing[k], contacts.restitution[k], contacts.normal[k]
-        pair, arm_a, arm_b = jax.tree.map(lambda x: x[k], (contacts.pair, contacts.arm_a, contacts.arm_b))
+        is_behind = (closing > closing[:, None]) | ((closing == closing[:, None]) & (index_of < index_of[:, None]))
+        is_next = (closing > C.settled_speed) & ~jnp.any(together & is_behind, axis=1)
         # The moment of the impact falls inside the step: its speed is that of the bounce.
-        is_first = (index == 0) & (rebound_target[k] > 0)
-        factor = jnp.where(is_first, rebound_target[k] / jnp.where(is_first, restitution * speed, 1), factor)
+        is_first = is_next & (index == 0) & (rebound_target > 0)
+        own = rebound_target / jnp.where(is_first, contacts.restitution * closing, 1)
+        of_island = together & is_first
+        factor = jnp.where(jnp.any(of_island, axis=1), jnp.sum(jnp.where(of_island, own, 0), axis=1), factor)
+        pair, arm_a, arm_b, normal = contacts.pair, contacts.arm_a, contacts.arm_b, contacts.normal
         before = pair_velocities(pair, velocities)
-        impulse = (1 + restitution) * speed * pair_mass(pair, arm_a, arm_b, normal)
-        after = apply_impulse(before, pair, arm_a, arm_b, normal * impulse)
-        both = pair.is_a | pair.is_b
+        impulse = (1 + contacts.restitution) * closing * pair_mass(pair, arm_a, arm_b, normal)
+        after = apply_impulse(before, pair, arm_a, arm_b, normal * jnp.where(is_next, impulse, 0)[:, None])
+        both = _bodies_of(contacts, is_next)
         moved = scatter_velocities(velocities, pair, before, after)
-        return choose(speed > C.settled_speed, (moved, once | both, again | (once & both), factor), carry), None
+        return (moved, once | both, again | (once & both), factor), None
 
     return impact
 
@@ -92,6 +99,8 @@ def _bodies_of(contacts: Contacts, chosen: jax.Array) -> jax.Array:
     return jnp.any((contacts.pair.is_a | contacts.pair.is_b) & chosen[:, None], axis=0)
 
 
-def _has_one_of(contacts: Contacts, bodies: jax.Array) -> jax.Array:
-    """[K] bool, one of the contact's two is among the bodies [n]."""
-    return jnp.any((contacts.pair.is_a | contacts.pair.is_b) & bodies, axis=-1)
+def _in_one_island(bodies: Bodies, contacts: Contacts, islands: Islands) -> jax.Array:
+    """[K, K] bool, contacts of one island."""
+    is_of = (contacts.pair.is_a | contacts.pair.is_b) & bodies.is_dynamic
+    island = jnp.min(jnp.where(is_of, islands.first, islands.first.shape[0]), axis=1)
+    return island[:, None] == island

@@ -2,7 +2,7 @@
 
 What holds takes energy from an island, or none. Where one has more kinetic energy once it is relaxed than the sub-step
 began with, when forces had acted and nothing had been solved, impulses are not solved yet, or warm-start impulses from
-another place of the bodies are far off; bodies that jam, and arms at their limits, do that. It is solved again, alone.
+another place of the bodies are far off; bodies that jam do that. It is solved again, alone.
 """
 
 from __future__ import annotations
@@ -24,57 +24,106 @@ from jax2d.xla import springs as springs_of
 from jax2d.xla.bodies import Bodies, Pair, Velocities
 from jax2d.xla.contacts import Contacts
 from jax2d.xla.joints import Joints
+from jax2d.xla.rows import Constraints
 
 
 class Islands(NamedTuple):
     together: jax.Array  # [n, n] bool, in one island
     anchored: jax.Array  # [n] bool, in an island that is held by what cannot be pushed
+    in_group: jax.Array  # [n, n] bool, their contacts are found together: islands on one kinematic body, and that body
+
+    def whole(self, bodies: jax.Array) -> jax.Array:
+        """[n] bool, bodies of the islands of these [n]."""
+        return jnp.any(self.together & bodies, axis=1)
+
+    def whole_groups(self, bodies: jax.Array) -> jax.Array:
+        """[n] bool, bodies of the groups of these [n]."""
+        return jnp.any(self.in_group & bodies, axis=1)
+
+    def sums(self, numbers: jax.Array) -> jax.Array:
+        """[n] sums of numbers of bodies [n] over the island of each."""
+        return jnp.sum(jnp.where(self.together, numbers, 0), axis=1)
+
+    @property
+    def first(self) -> jax.Array:
+        """[n] int32, the first body of the island of each."""
+        return jnp.argmax(self.together, axis=1).astype(jnp.int32)
 
 
 def find(bodies: Bodies, contacts: Contacts, joints: Joints) -> Islands:
     n = bodies.inverse_mass.shape[0]
     together, anchored = jnp.eye(n, dtype=bool), jnp.zeros(n, bool)
+    in_group = together
     held = (
         (contacts.pair, contacts.key >= 0),
         (joints.pair, joints.is_held),
         (joints.springs.pair, joints.springs.is_held),
     )
     for pair, is_held in held:
+        moving_a, moving_b = (body & bodies.moves & is_held[:, None] for body in (pair.is_a, pair.is_b))
+        in_group |= _joined(moving_a, moving_b)
         a, b = (body & bodies.is_dynamic & is_held[:, None] for body in (pair.is_a, pair.is_b))
-        joined = jnp.any(a[:, :, None] & b[:, None, :], axis=0)
-        together |= joined | joined.T
+        together |= _joined(a, b)
         has_a, has_b = jnp.any(a, axis=1, keepdims=True), jnp.any(b, axis=1, keepdims=True)
         anchored |= jnp.any((a & ~has_b) | (b & ~has_a), axis=0)
     for _ in range(math.ceil(math.log2(max(n, 2)))):  # twice as far each time
-        together = together.astype(jnp.float32) @ together.astype(jnp.float32) > 0
-    return Islands(together, jnp.any(together & anchored, axis=1))
+        together, in_group = (x.astype(jnp.float32) @ x.astype(jnp.float32) > 0 for x in (together, in_group))
+    return Islands(together, jnp.any(together & anchored, axis=1), in_group)
 
 
-def max_energy(bodies: Bodies, v_substep_start: Velocities, h: Scalar) -> jax.Array:
-    """[n] J, what may be left to each body beside the work of motors, springs and what carries."""
+def _joined(a: jax.Array, b: jax.Array) -> jax.Array:
+    """[n, n] bool, from the bodies of pairs, [..., n] bool each."""
+    one_way = jnp.any(a[:, :, None] & b[:, None, :], axis=0)
+    return one_way | one_way.T
+
+
+def drift(islands: Islands, bodies: Bodies, velocities: Velocities) -> jax.Array:
+    """[n, 2] m/s, velocity of the centre of mass of each body's island, 0 where something fixed holds it.
+
+    Islands that nothing fixed holds are as free to move as any: what they gain or may have is not to depend on that.
+    """
+    mass = jnp.where(islands.together, vec2.inverse_or_zero(bodies.inverse_mass)[None], 0)  # [n, n] kg
+    momentum = jnp.sum(mass[..., None] * velocities.velocity, axis=1)
+    of_centre = momentum * vec2.inverse_or_zero(jnp.sum(mass, axis=1))[:, None]
+    return jnp.where(islands.anchored[:, None], 0, of_centre)
+
+
+class EnergyBound(NamedTuple):
+    """Kinetic energy that may be left to each body beside the work of motors, springs and what carries."""
+
+    energy: jax.Array  # [n] J
+    drift: jax.Array  # [n, 2] m/s, that it is relative to
+    h: Scalar  # s, of the sub-step
+
+
+def energy_bound(bodies: Bodies, v_substep_start: Velocities, drift: jax.Array, h: Scalar) -> EnergyBound:
     mass = vec2.inverse_or_zero(bodies.inverse_mass)
-    return bodies_of.kinetic_energy(bodies, v_substep_start) * (1 + h * C.slack_rate) + h * C.slack_power * mass
+    before = bodies_of.kinetic_energy(bodies, v_substep_start, drift)
+    return EnergyBound(before * (1 + h * C.slack_rate) + h * C.slack_power * mass, drift, h)
 
 
 def gains_energy(
-    islands: Islands, bodies: Bodies, joints: Joints, contacts: Contacts, allowed: jax.Array, h: Scalar, spare: Scalar
+    islands: Islands,
+    bodies: Bodies,
+    joints: Joints,
+    rows: Constraints,
+    contacts: Contacts,
+    bound: EnergyBound,
+    spare: Scalar,
 ) -> jax.Array:
-    """[n] bool, bodies of islands that a contact or a limit holds and that have gained more than `spare` J/kg.
-
-    allowed: `max_energy`."""
+    """[n] bool, bodies of islands that a contact holds and that have gained more than `spare` J/kg."""
     mass = vec2.inverse_or_zero(bodies.inverse_mass)
-    gain = bodies_of.kinetic_energy(bodies, bodies.velocities) - allowed - spare * mass
+    gain = bodies_of.kinetic_energy(bodies, bodies.velocities, bound.drift) - bound.energy - spare * mass
     work = (
-        (contacts.pair, contact_solver.surface_work(bodies, contacts, h)),
-        (joints.pair, joints_of.motor_work(bodies, joints) + joints_of.kinematic_work(bodies, joints)),
+        (contacts.pair, contact_solver.surface_work(bodies, contacts, bound.h)),
+        (joints.pair, joints_of.motor_work(bodies, joints, rows) + joints_of.kinematic_work(bodies, joints, rows)),
         (
             joints.springs.pair,
             springs_of.work(bodies, joints.springs) + springs_of.kinematic_work(bodies, joints.springs),
         ),
     )
-    gain, work = (jnp.sum(jnp.where(islands.together, x, 0), axis=1) for x in (gain, _by_body(bodies, work)))
-    at_limit = joints.is_held & (joints.impulses.lower + joints.impulses.upper > 0)
-    holding = _by_body(bodies, ((contacts.pair, contacts.key >= 0), (joints.pair, at_limit))) > 0
+    gain, work = islands.sums(gain), islands.sums(by_body(bodies, work))
+    holding = by_body(bodies, ((contacts.pair, contacts.key >= 0),)) > 0
     is_held = jnp.any(islands.together & holding, axis=1)
     return bodies.is_dynamic & is_held & (gain > 0) & (gain > work)
 
@@ -82,13 +131,13 @@ def gains_energy(
 def reset_impulses(
     islands: Islands, bodies: Bodies, joints: Joints, contacts: Contacts, v_substep_start: Velocities, which: jax.Array
 ) -> tuple[Bodies, Joints, Contacts]:
-    """Resets all impulses on bodies of `which` [n] bool, whole islands.
+    """Resets impulses of contacts and springs on bodies of `which` [n] bool, whole islands.
 
-    What is anchored gets the velocities that the sub-step began with. Elsewhere that would change angular momentum,
-    since bodies have moved: impulses are taken back where they are.
+    What is anchored gets the velocities that the sub-step began with, and what its motors gave. Elsewhere that would
+    change angular momentum, since bodies have moved: impulses are taken back where they are.
     """
-    contacts_on, joints_on, springs_on = (
-        jnp.any((pair.is_a | pair.is_b) & which, axis=-1) for pair in (contacts.pair, joints.pair, joints.springs.pair)
+    contacts_on, springs_on = (
+        jnp.any((pair.is_a | pair.is_b) & which, axis=-1) for pair in (contacts.pair, joints.springs.pair)
     )
 
     def taken(impulses: jax.Array, on: jax.Array) -> jax.Array:
@@ -108,20 +157,20 @@ def reset_impulses(
     )
 
     def changed(change: Callable[[jax.Array, jax.Array], jax.Array]) -> Joints:
-        impulses = jax.tree.map(lambda x: change(x, joints_on), joints.impulses)
-        of_springs = jax.tree.map(lambda x: change(x, springs_on), joints.springs.impulses)
-        return joints._replace(impulses=impulses, springs=joints.springs._replace(impulses=of_springs))
+        impulses = jax.tree.map(lambda x: change(x, springs_on), joints.springs.impulses)
+        return joints._replace(springs=joints.springs._replace(impulses=impulses))
 
-    back = joints_of.warm_start(back, changed(taken))
+    back = springs_of.warm_start(back, changed(taken).springs)
     restored = which & islands.anchored
     velocities = Velocities(
         jnp.where(restored[:, None], v_substep_start.velocity, back.velocities.velocity),
         jnp.where(restored, v_substep_start.omega, back.velocities.omega),
     )
-    return bodies._replace(velocities=velocities), changed(left), contacts_of.reset_impulses(contacts, contacts_on)
+    bodies, joints = joints_of.leave_motors(bodies._replace(velocities=velocities), changed(left), restored)
+    return bodies, joints, contacts_of.reset_impulses(contacts, contacts_on)
 
 
-def _by_body(bodies: Bodies, parts: tuple[tuple[Pair, jax.Array], ...]) -> jax.Array:
+def by_body(bodies: Bodies, parts: tuple[tuple[Pair, jax.Array], ...]) -> jax.Array:
     """[n] sums of numbers of constraints, each at a body of its pair that can be pushed."""
     total = jnp.zeros_like(bodies.inverse_mass)
     for pair, number in parts:

@@ -1,16 +1,17 @@
-"""Joints of one world: motor, limits, the angle of welds, and the rows that hold the two bodies together; springs with
-them.
+"""Joints of one world: what they hold, their motors and limits; springs with them.
 
-Body b is held to body a. Angles are angle_b - angle_a - rest angle. Solved one after another, in slot order. Every
-constraint is a row of a Jacobian, so that all kinds of joints are one code path:
+Body b is held to body a. Angles are angle_b - angle_a - rest angle. Every constraint is a row of a Jacobian, three a
+joint, and all rows are one system (joint_system.py):
 
-                       driven and limited along            held by two rows
-    revolute, fixed    the angle                           x and y of the common point
-    prismatic          the axis                            across the axis, and the angle
+                 first and second row           third row
+    revolute     x and y of the common point    the angle, where a motor or a limit holds it
+    fixed        x and y of the common point    the angle
+    prismatic    across the axis, the angle     along the axis, where a motor or a limit holds it
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -18,40 +19,32 @@ import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Controls, JointDrive, JointKind, Scene, State
-from jax2d.softened_joints import is_softened
-from jax2d.solver_numbers import Scalar, Softness, SolverNumbers
-from jax2d.xla import angles, vec2
+from jax2d.solver_numbers import SolverNumbers
+from jax2d.xla import angles, axial_rows, joint_system, vec2
 from jax2d.xla import springs as springs_of
-from jax2d.xla.active_set import ActiveSet, marked
+from jax2d.xla.active_set import ActiveSet, has_one_of, marked
+from jax2d.xla.axial_rows import AxialRows
 from jax2d.xla.bodies import (
     Bodies,
     Pair,
     PairVelocities,
     Velocities,
-    is_slowed,
     pair_up,
     pair_velocities,
     pick,
-    scatter_velocities,
 )
-from jax2d.xla.branching import choose
+from jax2d.xla.branching import choose, in_any_world
 from jax2d.xla.drives import Servo, servo_of, speed_towards
+from jax2d.xla.joint_system import JointSystem
 from jax2d.xla.rows import (
     Constraints,
     Jacobian,
     arms,
     current_gap,
-    held_answer,
-    held_mass,
-    inverse_driven_mass,
     inverse_mass,
-    push,
     speed_along,
-    welded_mass,
     work_of_kinematic,
-    wrong_of_drive,
 )
-from jax2d.xla.rules import Rules
 from jax2d.xla.springs import SpringImpulses, Springs
 
 
@@ -76,13 +69,12 @@ class Joints(NamedTuple):
 
     is_held: jax.Array  # [J] bool, active and with a body that can move
     is_fixed: jax.Array  # [J] bool
-    is_softened: jax.Array  # [J] bool, see softened_joints.py
     is_prismatic: jax.Array  # [J] bool
     is_driven: jax.Array  # [J] bool, a motor with a control, a brake or a servo
     is_servo: jax.Array  # [J] bool
-    is_exact: jax.Array  # [J] bool, brakes and servos
     is_limited: jax.Array  # [J] bool
     pair: Pair  # of [J]
+    together: jax.Array  # [J, J] bool, joints of one articulation: connected through bodies that can be pushed
     axis_angle: jax.Array  # [J] rad, frame of a
     local_a: jax.Array  # [J, 2] m, anchors in the bodies' frames
     local_b: jax.Array
@@ -94,19 +86,15 @@ class Joints(NamedTuple):
     control: jax.Array  # [J]
     motor_target: jax.Array  # [J] rad/s, of a slider m/s
     max_motor_impulse: jax.Array  # [J] N m s, largest impulse of one sub-step; of a slider N s
-    motor_mass: jax.Array  # [J] kg m^2, of a slider kg, that a motor aims with
     servo: Servo
     lower: jax.Array  # [J] rad, of a slider m
     upper: jax.Array
+    axes: AxialRows
     impulses: JointImpulses
     springs: Springs
 
     def warm_start_impulses(self) -> WarmStart:
         return WarmStart(self.impulses, self.springs.impulses)
-
-    def with_zero_impulses(self) -> Joints:
-        nothing = jax.tree.map(jnp.zeros_like, self.warm_start_impulses())
-        return self._replace(impulses=nothing.joints, springs=self.springs._replace(impulses=nothing.springs))
 
 
 def load(state: State, params: SolverNumbers) -> WarmStart:
@@ -128,13 +116,12 @@ def prepare(bodies: Bodies, scene: Scene, before: WarmStart, controls: Controls,
     joints = Joints(
         is_held=is_held,
         is_fixed=is_fixed,
-        is_softened=is_softened(scene),
         is_prismatic=is_prismatic,
         is_driven=is_driven,
         is_servo=is_servo,
-        is_exact=~is_velocity,
         is_limited=scene.joints.has_limits,
         pair=pair,
+        together=articulations(bodies, pair),
         axis_angle=scene.joints.axis_angle,
         local_a=scene.joints.anchor_a,
         local_b=scene.joints.anchor_b,
@@ -146,10 +133,10 @@ def prepare(bodies: Bodies, scene: Scene, before: WarmStart, controls: Controls,
         control=controls.motor,
         motor_target=controls.motor * scene.joints.motor_speed * base_speed,
         max_motor_impulse=zero,
-        motor_mass=zero,
-        servo=Servo(zero, zero, zero),
+        servo=servo_of(controls.motor, speed, scene.joints.lower_limit, scene.joints.upper_limit),
         lower=scene.joints.lower_limit,
         upper=scene.joints.upper_limit,
+        axes=AxialRows.of(jnp.zeros(a.shape, jnp.int32), zero),
         impulses=before.joints._replace(angular_impulse=angular_impulse),
         springs=springs_of.prepare(bodies, scene, before.springs),
     )
@@ -157,14 +144,38 @@ def prepare(bodies: Bodies, scene: Scene, before: WarmStart, controls: Controls,
     axial_mass = vec2.inverse_or_zero(inverse_mass(pair, rows.axial, rows.axial))
     # The power is the acceleration that the motor can give to the pair of bodies alone.
     power = scene.joints.motor_power * jnp.where(is_prismatic, params.base_slider_power, params.base_motor_power)
-    max_impulse = params.h * power * axial_mass
-    driven = inverse_driven_mass(pair, rows)
-    return joints._replace(
-        axial_mass=axial_mass,
-        max_motor_impulse=max_impulse,
-        motor_mass=jnp.where(is_velocity, axial_mass, vec2.inverse_or_zero(driven)),
-        servo=servo_of(controls.motor, speed, joints.lower, joints.upper, strength=max_impulse * driven / params.h),
-    )
+    joints = joints._replace(axial_mass=axial_mass, max_motor_impulse=params.h * power * axial_mass)
+    holds = held_before(joints, speed_along(rows.axial, pair_velocities(pair, bodies.velocities)))
+    return joints._replace(axes=joints.axes._replace(holds=holds))
+
+
+def held_before(joints: Joints, speed: jax.Array) -> jax.Array:
+    """[J] what holds the speed along the axes, by the impulses that they have and the speed of the motor."""
+    impulses = joints.impulses
+    more = jnp.where(joints.is_servo, 0, joints.motor_target - speed)
+    needed = jnp.abs(impulses.angular_impulse + more * joints.axial_mass)
+    is_motor = joints.is_driven & (needed < joints.max_motor_impulse)
+    holds = jnp.where(is_motor, axial_rows.MOTOR, axial_rows.NOTHING)
+    holds = jnp.where(joints.is_limited & (impulses.upper > 0), axial_rows.UPPER, holds)
+    return jnp.where(joints.is_limited & (impulses.lower > 0), axial_rows.LOWER, holds)
+
+
+def replace_found(old: Joints, new: Joints, which: jax.Array) -> Joints:
+    """Joints and springs of the bodies of `which` [n] bool, which can be pushed, as they were prepared; others stay."""
+    springs = springs_of.replace_found(old.springs, new.springs, which)
+    is_of = has_one_of(old.pair, which)
+    names = ("angle_a", "angle_b", "centre_gap", "start_angle", "axial_mass", "max_motor_impulse")
+    rows = {name: jnp.where(like(is_of, getattr(new, name)), getattr(new, name), getattr(old, name)) for name in names}
+    return new._replace(springs=springs, axes=choose(is_of, new.axes, old.axes), **rows)
+
+
+def articulations(bodies: Bodies, pair: Pair) -> jax.Array:
+    """[J, J] bool, see `Joints.together`."""
+    ends = (pair.is_a | pair.is_b) & bodies.is_dynamic
+    together = jnp.any(ends[:, None] & ends, axis=-1)
+    for _ in range(math.ceil(math.log2(max(2, ends.shape[0])))):  # twice as far each time
+        together = together.astype(jnp.float32) @ together.astype(jnp.float32) > 0
+    return together
 
 
 def counted_angle(bodies: Bodies, scene: Scene) -> jax.Array:
@@ -172,12 +183,10 @@ def counted_angle(bodies: Bodies, scene: Scene) -> jax.Array:
     return bodies.angle[scene.joints.b] - bodies.angle[scene.joints.a] - scene.joints.rest_angle
 
 
-def store(bodies: Bodies, joints: Joints, state: State, rules: Rules) -> jax.Array:
+def store(joints: Joints, state: State) -> jax.Array:
     """Impulses as in `State.joint_impulse`; joints that hold nothing keep what they had."""
     i = joints.impulses
     solved = jnp.concatenate([i.point, i.angular_impulse[:, None], i.lower[:, None], i.upper[:, None]], axis=1)
-    if rules.is_soft:
-        solved = jnp.where(is_slowed(bodies, joints.pair)[:, None], 0, solved)
     return jnp.where(joints.is_held[:, None], solved, state.joint_impulse)
 
 
@@ -190,13 +199,7 @@ def constraints(bodies: Bodies, joints: Joints) -> Constraints:
     gap, angle = current_gap(bodies, joints, arm_a, arm_b), current_angle(bodies, joints)
     local_axis = vec2.rotated(vec2.from_angle(joints.axis_angle), joints.angle_a)
     axis = vec2.rotated(local_axis, pick(joints.pair.is_a, bodies.turn))
-    # Impulses act on both bodies at one point, or they would change what both have of angular momentum: of a slider at
-    # the anchor of b, of others in the middle of the gap; what is fixed takes any.
-    both_move = (joints.pair.mass_a > 0) & (joints.pair.mass_b > 0)
-    half_gap = jnp.where(both_move[:, None], 0.5 * gap, 0)
-    is_slider = joints.is_prismatic[:, None]
-    common_a = arm_a + jnp.where(is_slider, gap, half_gap)
-    common_b = arm_b - jnp.where(is_slider, 0, half_gap)
+    common_a, common_b = common_arms(joints, gap, arm_a, arm_b)
 
     def along(direction: jax.Array) -> Jacobian:
         return Jacobian(direction, vec2.cross(common_a, direction), vec2.cross(common_b, direction))
@@ -218,190 +221,280 @@ def constraints(bodies: Bodies, joints: Joints) -> Constraints:
     )
 
 
+def common_arms(joints: Joints, gap: jax.Array, arm_a: jax.Array, arm_b: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Arms [J, 2] m to the points where impulses act. It is one point for both bodies, or they would change what both
+    have of angular momentum: of a slider the anchor of b, of others the middle of the gap; what is fixed takes any."""
+    both_move = (joints.pair.mass_a > 0) & (joints.pair.mass_b > 0)
+    half_gap = jnp.where(both_move[:, None], 0.5 * gap, 0)
+    is_slider = joints.is_prismatic[:, None]
+    return arm_a + jnp.where(is_slider, gap, half_gap), arm_b - jnp.where(is_slider, 0, half_gap)
+
+
 def like(mask: jax.Array, x: jax.Array) -> jax.Array:
     """The mask of the first axes of `x`, to select from it."""
     return mask.reshape(mask.shape + (1,) * (x.ndim - mask.ndim))
 
 
-def warm_start(bodies: Bodies, joints: Joints) -> Bodies:
-    bodies = springs_of.warm_start(bodies, joints.springs)
-    rows, impulses = constraints(bodies, joints), joints.impulses
-    before = pair_velocities(joints.pair, bodies.velocities)
-    after = push(before, joints.pair, rows.first, impulses.point[:, 0])
-    after = push(after, joints.pair, rows.second, impulses.point[:, 1])
-    after = push(after, joints.pair, rows.axial, impulses.angular_impulse + impulses.lower - impulses.upper)
-    return bodies._replace(velocities=scatter_velocities(bodies.velocities, joints.pair, before, after))
+def without_impulses(joints: Joints) -> Joints:
+    """Joints as a sub-step begins with them. They need no warm start, since they are solved directly."""
+    return joints._replace(impulses=jax.tree.map(jnp.zeros_like, joints.impulses))
 
 
-class Row(NamedTuple):
-    """A joint as one pass needs it: nothing here changes while velocities are solved."""
+def leave_motors(bodies: Bodies, joints: Joints, which: jax.Array) -> tuple[Bodies, Joints]:
+    """Bodies and joints of `which` [n] bool, which have none of its impulses, with those of its motors alone."""
+    on = has_one_of(joints.pair, which) & joints.is_held
+    impulses = jax.tree.map(lambda x: jnp.where(like(on, x), 0, x), joints.impulses)
+    motor = jnp.where(on & ~joints.is_fixed, joints.impulses.angular_impulse, 0)
+    inverse = _inverse_masses(bodies)
+    along = _dense(joints.pair, constraints(bodies, joints).axial)
+    pushed = _unflat(_flat(bodies.velocities) + inverse * joint_system.times(motor, along))
+    impulses = impulses._replace(angular_impulse=jnp.where(on, motor, impulses.angular_impulse))
+    return bodies._replace(velocities=pushed), joints._replace(impulses=impulses)
 
-    pair: Pair
-    is_fixed: jax.Array
-    is_driven: jax.Array
-    is_limited: jax.Array
-    is_prismatic: jax.Array
-    axial: Jacobian
-    first: Jacobian
-    second: Jacobian
-    axial_mass: jax.Array
-    held_mass: jax.Array  # [2, 2], of the two rows that are held; of a weld with its angle held, too
-    held_lever: jax.Array  # [2] speed along these rows after a unit of impulse about the axis of a weld; else 0
-    soft: Softness
-    motor_target: jax.Array
-    motor_mass: jax.Array
-    motor_answer: jax.Array  # [2], of what is held to a unit of a motor's impulse
-    max_motor_impulse: jax.Array
-    return_speed: jax.Array  # rad/s or m/s at which a weld's angle and what is beyond a limit is brought back
-    angle: jax.Array  # rad
-    lower_clearance: jax.Array  # rad or m left before the limit, negative beyond it
-    upper_clearance: jax.Array
-    correction: jax.Array  # [2] m/s and rad/s at which the errors of the two rows are undone
-    bend_a: jax.Array  # [2] m s, times a spin squared: speed that keeps the anchor of a on its circle
-    bend_b: jax.Array
+
+class PlacedJoints(NamedTuple):
+    """Rows of the joints and their system, as the bodies stood when it was made."""
+
+    rows: Constraints
+    system: JointSystem
+
+
+def place(bodies: Bodies, joints: Joints) -> PlacedJoints:
+    rows = constraints(bodies, joints)
+    has_third = joints.is_fixed | has_axis(joints)
+    third = jnp.where(has_third[:, None], _dense(joints.pair, rows.axial), 0)
+    dense = jnp.concatenate([_dense(joints.pair, rows.first), _dense(joints.pair, rows.second), third])
+    inverse = _inverse_masses(bodies)
+    own = jnp.sum(dense * inverse * dense, axis=1).reshape(3, -1)
+    mass, turning = joints.pair.mass_a + joints.pair.mass_b, joints.pair.inertia_a + joints.pair.inertia_b
+    is_slider = joints.is_prismatic
+    # An axis does not yield: under a load a motor would creep.
+    yielding = (mass, jnp.where(is_slider, turning, mass), jnp.where(joints.is_fixed, turning, 0))
+    point = own[0] + jnp.where(is_slider, 0, own[1])
+    rounding = jnp.concatenate([point, jnp.where(is_slider, own[1], point), own[2]])
+    system = joint_system.build(
+        dense, inverse, C.joint_compliance * jnp.concatenate(yielding), C.joint_rounding * rounding
+    )
+    return PlacedJoints(rows, system)
+
+
+def has_axis(joints: Joints) -> jax.Array:
+    """[J] bool, a motor or limits may act along its axis."""
+    return (joints.is_driven | joints.is_limited) & ~joints.is_fixed
+
+
+def _dense(pair: Pair, row: Jacobian) -> jax.Array:
+    """[J, 3n], x, y and angle of each body."""
+    linear = (pair.is_b.astype(row.direction.dtype) - pair.is_a)[..., None] * row.direction[:, None]
+    angular = jnp.where(pair.is_b, row.lever_b[:, None], 0) - jnp.where(pair.is_a, row.lever_a[:, None], 0)
+    return jnp.concatenate([linear, angular[..., None]], axis=-1).reshape(len(linear), 3 * linear.shape[1])
+
+
+def _inverse_masses(bodies: Bodies) -> jax.Array:
+    """[3n], in the order of `_dense`."""
+    linear = jnp.broadcast_to(bodies.inverse_mass[:, None], bodies.position.shape)
+    return jnp.concatenate([linear, bodies.inverse_inertia[:, None]], axis=-1).ravel()
+
+
+def _flat(velocities: Velocities) -> jax.Array:
+    """[3n], in the order of `_dense`."""
+    return jnp.concatenate([velocities.velocity, velocities.omega[:, None]], axis=-1).ravel()
+
+
+def _unflat(flat: jax.Array) -> Velocities:
+    by_body = flat.reshape(-1, 3)
+    return Velocities(by_body[:, :2], by_body[:, 2])
+
+
+class _Attempt(NamedTuple):
+    velocities: jax.Array  # [3n]
+    impulses: jax.Array  # [3J]
+    axes: AxialRows
+    included: jax.Array  # [J] bool, joints that it is about, whole articulations
 
 
 def solve_soft(
-    bodies: Bodies, joints: Joints, params: SolverNumbers, active: ActiveSet, *, use_bias: bool, motors: bool = True
+    bodies: Bodies,
+    joints: Joints,
+    placed: PlacedJoints,
+    params: SolverNumbers,
+    active: ActiveSet,
+    *,
+    use_bias: bool,
+    is_first: bool = True,
 ) -> tuple[Bodies, Joints, jax.Array]:
-    """One pass over springs and all joints: motor and limits, then what is held. No `motors` in a bounce: a force or
-    torque does nothing in an instant. Also the bodies [n] that it moved in a repeated pass."""
-    of_kinds = (params.joint, params.softened) if use_bias else (Softness(0.0, 1.0, 0.0),) * 2
-    soft = Softness(*(jnp.where(joints.is_softened, softened, other) for other, softened in zip(*of_kinds)))
-    bodies, springs, by_springs = springs_of.solve(
-        bodies, joints.springs, params, active, use_bias=use_bias, forces=motors
-    )
-    now = constraints(bodies, joints)
-    # Anchors go around their bodies: what that takes them off the tangent by the end of the sub-step counts too.
-    bend_time = 0.5 * C.bend_share * params.h if use_bias else 0.0
-    bend_a, bend_b = (jnp.where(joints.is_prismatic[:, None], 0, bend_time * arm) for arm in arms(bodies, joints))
-    is_welded = joints.is_fixed & (joints.axial_mass > 0)
-    rows = Row(
-        pair=joints.pair,
-        is_fixed=joints.is_fixed,
-        is_driven=joints.is_driven & motors,
-        is_limited=joints.is_limited & ~joints.is_fixed,
-        is_prismatic=joints.is_prismatic,
-        axial=now.axial,
-        first=now.first,
-        second=now.second,
-        axial_mass=joints.axial_mass,
-        held_mass=jnp.where(
-            is_welded[:, None, None], welded_mass(joints.pair, joints.axial_mass, now), held_mass(joints.pair, now)
-        ),
-        held_lever=jnp.where(is_welded[:, None], wrong_of_drive(joints.pair, now), 0),
-        soft=soft,
-        motor_target=jnp.where(
-            joints.is_servo,
-            speed_towards(joints.servo, joints.servo.position - now.position, params.h),
-            joints.motor_target,
-        ),
-        motor_mass=joints.motor_mass,
-        motor_answer=-jnp.where(joints.is_exact[:, None], held_answer(joints.pair, now), 0),
-        max_motor_impulse=joints.max_motor_impulse,
-        return_speed=jnp.where(joints.is_prismatic, params.joint_pull_speed, params.joint_turn_speed),
-        angle=current_angle(bodies, joints),
-        lower_clearance=now.position - joints.lower,
-        upper_clearance=joints.upper - now.position,
-        correction=correction_speed(now.error * soft.bias_rate[:, None], joints.is_prismatic, params),
-        bend_a=bend_a,
-        bend_b=bend_b,
-    )
+    """The first of two rounds of a pass with bias, or a bounce, over springs and all joints; or the second, for what
+    contacts and changed spins have made wrong since. No motors in a bounce: a force or torque does nothing in an
+    instant. Also the bodies [n] that it moved in a repeated pass.
 
-    def solve(velocities: Velocities, row_and_impulses: tuple[Row, JointImpulses, jax.Array]) -> tuple:
-        row, unsolved, included = row_and_impulses
-        before = pair_velocities(row.pair, velocities)
-        # In the relax pass a motor that is not at a limit has the last word: what holds the joint costs it no speed.
-        motor_last = (not use_bias) & (unsolved.lower + unsolved.upper == 0)
-        of, impulses = solve_motor(before, row._replace(is_driven=row.is_driven & ~motor_last), unsolved)
-        of, impulses = solve_limits(of, row, impulses, params, use_bias=use_bias)
-        of, impulses = solve_held(of, row, impulses, params.max_angular_speed)
-        if not use_bias:
-            of, impulses = solve_motor(of, row._replace(is_driven=row.is_driven & motor_last), impulses)
-        of, impulses = choose(included, (of, impulses), (before, unsolved))
-        return scatter_velocities(velocities, row.pair, before, of), (impulses, active.moves(before, of))
+    A round is solved with what motors and limits held at last. Where that cannot be at the speeds that come out, their
+    articulation is solved again with what they would hold. Where they do not agree with each other in the end, limits
+    hold still, which takes energy and gives none."""
+    by_springs = jnp.zeros_like(active.now)
+    if is_first:
+        bodies, springs, by_springs = springs_of.solve(
+            bodies, joints.springs, params, active, use_bias=use_bias, forces=use_bias
+        )
+        joints = joints._replace(springs=springs)
+    num_joints = joints.is_held.shape[0]
+    if num_joints == 0:
+        return bodies, joints, by_springs
+    now, system = placed
+    included = active.includes_joined(joints.pair, joints.together)
+    before, start = pair_velocities(joints.pair, bodies.velocities), _flat(bodies.velocities)
+    if is_first:
+        begun = begin_axes(bodies, joints, placed, params, use_bias=use_bias)
+        joints = joints._replace(axes=choose(included, begun, joints.axes))
+    i = joints.impulses
+    third = jnp.where(joints.is_fixed, i.angular_impulse, i.angular_impulse + i.lower - i.upper)
 
-    included = active.includes(joints.pair)
-    velocities, (impulses, moved) = jax.lax.scan(solve, bodies.velocities, (rows, joints.impulses, included))
+    def push_unheld(at: _Attempt) -> _Attempt:
+        has_none = has_axis(joints) & ~at.axes.is_held & at.included
+        free = jnp.where(has_none, at.axes.impulse - at.impulses[-num_joints:], 0)
+        free = jnp.concatenate([jnp.zeros((2 * num_joints,), free.dtype), free])
+        return at._replace(velocities=joint_system.pushed(system, at.velocities, free), impulses=at.impulses + free)
+
+    first = _Attempt(start, jnp.concatenate([i.point.T.ravel(), third]), joints.axes, included)
+    bias = jnp.zeros_like(system.yielding)
+    if use_bias:
+        moved = pair_velocities(joints.pair, _unflat(push_unheld(first).velocities))
+        bias = bend_speed(bodies, joints, moved, now, params) + correction_speed(now, joints, params)
+
+    def solve(before_it: _Attempt) -> _Attempt:
+        at = push_unheld(before_it)
+        wrong = joint_system.times(system.rows, at.velocities) + bias
+        wrong = wrong.at[-num_joints:].add(jnp.where(has_axis(joints), -at.axes.speed, 0))
+        if use_bias:
+            wrong += system.yielding * at.impulses
+        change = -joint_system.solve(system, _held_rows(joints, at.axes) & jnp.tile(at.included, 3), wrong)
+        return at._replace(velocities=joint_system.pushed(system, at.velocities, change), impulses=at.impulses + change)
+
+    def attempt(at: _Attempt, index: jax.Array) -> tuple[_Attempt, None]:
+        def chosen() -> _Attempt:
+            done = solve(at)
+            total, speed = done.impulses[-num_joints:], joint_system.times(system.rows, done.velocities)[-num_joints:]
+            axes, changes = axial_rows.choose(done.axes, speed, total)
+            changes &= has_axis(joints) & done.included
+            again = done.included & jnp.any(joints.together & changes, axis=1)
+            is_last = index + 1 == C.axial_changes
+            axes = choose(again & is_last, axial_rows.settle(axes, total), axes)
+            return done._replace(axes=choose(again, axes, done.axes), included=again)
+
+        return jax.lax.cond(in_any_world(jnp.any(at.included)), chosen, lambda: at), None
+
+    last, _ = jax.lax.scan(attempt, first, jnp.arange(C.axial_changes))
+    last = jax.lax.cond(in_any_world(jnp.any(last.included)), lambda: solve(last), lambda: last)
+    total = last.impulses[-num_joints:]
+    motor = jnp.where(last.axes.is_limit, last.axes.pushing, total)
+    solved = JointImpulses(
+        point=last.impulses[: 2 * num_joints].reshape(2, -1).T,
+        angular_impulse=jnp.where(has_axis(joints), motor, jnp.where(joints.is_fixed, total, i.angular_impulse)),
+        lower=jnp.where(has_axis(joints), jnp.maximum(total - motor, 0), i.lower),
+        upper=jnp.where(has_axis(joints), jnp.maximum(motor - total, 0), i.upper),
+    )
+    solved = jax.tree.map(lambda x, y: jnp.where(like(included, x), x, y), solved, i)
+    solved_velocities = _unflat(last.velocities)
+    moved = active.moves(before, pair_velocities(joints.pair, solved_velocities)) & included
     return (
-        bodies._replace(velocities=velocities),
-        joints._replace(impulses=impulses, springs=springs),
+        bodies._replace(velocities=solved_velocities),
+        joints._replace(impulses=solved, axes=last.axes),
         by_springs | marked(bodies, joints.pair, moved),
     )
 
 
-def correction_speed(wanted: jax.Array, is_prismatic: jax.Array, params: SolverNumbers) -> jax.Array:
-    """[J, 2] speeds that undo errors, within their limits: of a point as a whole, of a slider each on its own."""
+def _held_rows(joints: Joints, axes: AxialRows) -> jax.Array:
+    """[3J] bool."""
+    is_held = jnp.ones_like(joints.is_fixed)
+    return jnp.concatenate([is_held, is_held, joints.is_fixed | (has_axis(joints) & axes.is_held)])
+
+
+def correction_speed(now: Constraints, joints: Joints, params: SolverNumbers) -> jax.Array:
+    """[3J] speeds that undo errors, within their limits: of a point as a whole, of a slider each on its own."""
+    rate = params.joint_correction / params.h
+    wanted, angle = rate * now.error, jnp.clip(rate * now.position, -params.joint_turn_speed, params.joint_turn_speed)
     point = jax.vmap(vec2.clamp_length, (0, None))(wanted, params.joint_pull_speed)
     max_speed = jnp.stack([jnp.asarray(params.joint_pull_speed), jnp.asarray(params.joint_turn_speed)])
-    return jnp.where(is_prismatic[:, None], jnp.clip(wanted, -max_speed, max_speed), point)
+    both = jnp.where(joints.is_prismatic[:, None], jnp.clip(wanted, -max_speed, max_speed), point)
+    return jnp.concatenate([both[:, 0], both[:, 1], jnp.where(joints.is_fixed, angle, 0)])
 
 
-def solve_motor(of: PairVelocities, row: Row, impulses: JointImpulses) -> tuple[PairVelocities, JointImpulses]:
-    """A motor is a velocity constraint with a bounded impulse: dt changes neither its target nor its strength."""
-    speed, before = speed_along(row.axial, of), impulses.angular_impulse
-    driven = before - row.motor_mass * (speed - row.motor_target)
-    driven = jnp.clip(driven, -row.max_motor_impulse, row.max_motor_impulse)
-    total = jnp.where(row.is_driven, driven, before)
-    of = push(of, row.pair, row.axial, total - before)
-    # What is held answers a brake or servo at once, so that limits see the speed that stays.
-    answer = jnp.where(row.is_driven, row.motor_answer * (total - before), 0)
-    of = push(push(of, row.pair, row.first, answer[0]), row.pair, row.second, answer[1])
-    return of, impulses._replace(angular_impulse=total, point=impulses.point + answer)
-
-
-def solve_limits(
-    of: PairVelocities, row: Row, impulses: JointImpulses, params: SolverNumbers, *, use_bias: bool
-) -> tuple[PairVelocities, JointImpulses]:
-    def total(clearance: jax.Array, speed: jax.Array, accumulated: jax.Array) -> jax.Array:
-        """New total impulse of a one-sided limit; `speed` is that at which clearance grows."""
-        # A hinge's is not softened when violated: a strong motor would lean into a limit that gives way.
-        back = jnp.maximum(params.joint.bias_rate * clearance, -row.return_speed) if use_bias else 0
-        impulse = -row.axial_mass * (speed + jnp.where(clearance > 0, clearance / params.h, back))
-        slider = springs_of.limit_impulse(clearance, speed, row.axial_mass, accumulated, params, use_bias=use_bias)
-        total = jnp.where(row.is_prismatic, slider, jnp.maximum(accumulated + impulse, 0))
-        return jnp.where(row.is_limited, total, accumulated)
-
-    lower = total(row.lower_clearance, speed_along(row.axial, of), impulses.lower)
-    of = push(of, row.pair, row.axial, lower - impulses.lower)
-    upper = total(row.upper_clearance, -speed_along(row.axial, of), impulses.upper)
-    of = push(of, row.pair, row.axial, impulses.upper - upper)
-    return of, impulses._replace(lower=lower, upper=upper)
-
-
-def solve_held(
-    of: PairVelocities, row: Row, impulses: JointImpulses, max_spin: Scalar
-) -> tuple[PairVelocities, JointImpulses]:
-    """The two rows of a point or slider; of a weld its angle with them: one after the other, each undoes most of the
-    other where the arms are long beside what the bodies' inertia is like, and the impulses that are warm-started
-    grow."""
+def bend_speed(
+    bodies: Bodies, joints: Joints, of: PairVelocities, now: Constraints, params: SolverNumbers
+) -> jax.Array:
+    """[3J] m/s at which held rows go wrong even where their speeds are zero, since anchors and axes go around their
+    bodies: change of the errors in the next h seconds, over h, less the speeds of the rows."""
+    arm_a, arm_b = arms(bodies, joints)
+    gap = current_gap(bodies, joints, arm_a, arm_b)
     # Faster nothing turns in the end, however fast it does while velocities are solved.
-    spin_a, spin_b = (jnp.minimum(jnp.abs(omega), max_spin) for omega in (of.omega_a, of.omega_b))
-    bend = row.bend_a * spin_a**2 - row.bend_b * spin_b**2
-    wrong = jnp.stack([speed_along(row.first, of), speed_along(row.second, of)]) + row.correction + bend
-    turn_back = jnp.clip(row.soft.bias_rate * row.angle, -row.return_speed, row.return_speed)
-    turn = row.axial_mass * (speed_along(row.axial, of) + turn_back)
-    wrong = wrong - row.held_lever * turn
-    needed = jnp.stack([vec2.dot(row.held_mass[0], wrong), vec2.dot(row.held_mass[1], wrong)])
-    turn = turn - row.axial_mass * vec2.dot(row.held_lever, needed)
-    angular = -turn * row.soft.mass_scale - impulses.angular_impulse * row.soft.impulse_scale
-    angular = jnp.where(row.is_fixed, angular, 0)
-    impulse = -needed * row.soft.mass_scale - impulses.point * row.soft.impulse_scale
-    of = push(push(of, row.pair, row.first, impulse[0]), row.pair, row.second, impulse[1])
-    of = push(of, row.pair, row.axial, angular)
-    return of, impulses._replace(point=impulses.point + impulse, angular_impulse=impulses.angular_impulse + angular)
+    turn_a, turn_b = (
+        params.h * jnp.clip(omega, -params.max_angular_speed, params.max_angular_speed)
+        for omega in (of.omega_a, of.omega_b)
+    )
+    drift = of.velocity_b - of.velocity_a
+    moved = drift + (chord(arm_b, turn_b) - chord(arm_a, turn_a)) / params.h
+    at_a, at_b = common_arms(joints, gap, arm_a, arm_b)
+    speed = drift + vec2.left(at_b) * of.omega_b[:, None] - vec2.left(at_a) * of.omega_a[:, None]
+    across = now.first.direction
+    swing = chord(across, turn_a)
+    of_slider = vec2.dot(across + swing, moved) + vec2.dot(swing, gap) / params.h - speed_along(now.first, of)
+    none = jnp.zeros_like(of_slider)
+    x, y = jnp.moveaxis(moved - speed, -1, 0)
+    is_slider = joints.is_prismatic
+    return jnp.concatenate([jnp.where(is_slider, of_slider, x), jnp.where(is_slider, none, y), none])
 
 
-def motor_work(bodies: Bodies, joints: Joints) -> jax.Array:
-    """[J] J, what motors have added to the bodies' energy in this sub-step."""
-    speed = speed_along(constraints(bodies, joints).axial, pair_velocities(joints.pair, bodies.velocities))
+def chord(arm: jax.Array, turn: jax.Array) -> jax.Array:
+    """From the end of an arm to where it is after a turn."""
+    half = jnp.sin(0.5 * turn)[..., None]
+    return vec2.left(arm) * jnp.sin(turn)[..., None] - arm * (2 * half * half)
+
+
+def begin_axes(
+    bodies: Bodies, joints: Joints, placed: PlacedJoints, params: SolverNumbers, *, use_bias: bool
+) -> AxialRows:
+    """What drives and bounds the joints along their axes in this sub-step, with what they held at last."""
+    now, system = placed
+    return_speed = jnp.where(joints.is_prismatic, params.joint_pull_speed, params.joint_turn_speed)
+
+    def approach(clearance: jax.Array) -> jax.Array:
+        """Speed at which a joint may go towards its limit; from beyond the limit it comes back."""
+        back = jnp.maximum(params.joint_correction / params.h * clearance, -return_speed) if use_bias else 0
+        return jnp.where(joints.is_limited, jnp.where(clearance > 0, clearance / params.h, back), C.far_distance)
+
+    lowest, highest = -approach(now.position - joints.lower), approach(joints.upper - now.position)
+    drives = joints.is_driven & use_bias
+    motor = joints.impulses.angular_impulse
+    rows = joints.axes._replace(
+        lowest=lowest,
+        highest=jnp.maximum(lowest, highest),
+        target=joints.motor_target,
+        least=jnp.where(drives, -joints.max_motor_impulse, motor),
+        most=jnp.where(drives, joints.max_motor_impulse, motor),
+    )
+    speed = speed_along(now.axial, pair_velocities(joints.pair, bodies.velocities))
+    begun = axial_rows.begin(rows, speed)
+    is_servo = joints.is_servo & drives
+
+    def aimed() -> AxialRows:
+        driving = rows._replace(holds=jnp.where(is_servo, axial_rows.MOTOR, begun.holds))
+        moves = joint_system.axial_inverse_mass(system, _held_rows(joints, driving))
+        way = joints.servo.position - now.position
+        target = speed_towards(joints.servo, way, rows.most * moves / params.h, params.h)
+        return choose(is_servo, axial_rows.begin(driving._replace(target=target), speed), begun)
+
+    return jax.lax.cond(in_any_world(jnp.any(is_servo)), aimed, lambda: begun)
+
+
+def motor_work(bodies: Bodies, joints: Joints, rows: Constraints) -> jax.Array:
+    """[J] J, what motors have added to the bodies' energy in this sub-step, along the rows that were solved."""
+    speed = speed_along(rows.axial, pair_velocities(joints.pair, bodies.velocities))
     work = jnp.maximum(joints.impulses.angular_impulse * speed, 0)
     return jnp.where(joints.is_driven & joints.is_held, work, 0)
 
 
-def kinematic_work(bodies: Bodies, joints: Joints) -> jax.Array:
-    """[J] J, what kinematic bodies have done through joints in this sub-step."""
-    rows, impulses, pair = constraints(bodies, joints), joints.impulses, joints.pair
+def kinematic_work(bodies: Bodies, joints: Joints, rows: Constraints) -> jax.Array:
+    """[J] J, what kinematic bodies have done through joints in this sub-step, along the rows that were solved."""
+    impulses, pair = joints.impulses, joints.pair
     parts = (
         (rows.first, impulses.point[:, 0]),
         (rows.second, impulses.point[:, 1]),

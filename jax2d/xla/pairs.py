@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Capacity
 from jax2d.solver_numbers import Scalar
+from jax2d.xla import vec2
 from jax2d.xla.bodies import Bodies
 from jax2d.xla.geometry import Geometry
 from jax2d.xla.manifolds import Motion, Points, circle_circle, polygon_circle
@@ -77,14 +79,25 @@ def collide(
     return jax.tree.map(lambda *xs: jnp.concatenate(xs)[pairs.order], *found)
 
 
-class Bounds(Protocol):
-    """Axis-aligned bounds relative to centres of mass."""
+def least_distance(bodies: Bodies, geometry: Geometry) -> jax.Array:
+    """Distance that the surfaces of each pair have at least, [n, n] m at [lower, higher]: along the normal of a face,
+    between discs along their line."""
+    polygons, radius = geometry.polygons, geometry.radius
+    n = polygons.corner.shape[0]
+    d = bodies.position[None] - bodies.position[:, None]
+    to_centre = d[:n, :, None] - polygons.corner[:, None]  # [P, n, edge, 2]
+    normal = polygons.normal[:, None]
+    beyond = jnp.where(polygons.is_corner[:, None], vec2.dot(normal, to_centre), -C.far_distance)
+    to_corner = vec2.dot(normal[..., None, :], polygons.corner[None, :, None])  # [P, P, edge, corner]
+    nearest = jnp.min(jnp.where(polygons.is_corner[None, :, None], to_corner, C.far_distance), axis=-1)
+    of_polygons = jnp.max(beyond[:, :n] + nearest, axis=-1)
+    of_discs = jnp.max(beyond[:, n:], axis=-1) - radius
+    between_discs = vec2.length(d[n:, n:]) - radius[:, None] - radius
+    upper = jnp.concatenate([jnp.maximum(of_polygons, of_polygons.T), of_discs], axis=1)
+    return jnp.concatenate([upper, jnp.concatenate([of_discs.T, between_discs], axis=1)])
 
-    lower: jax.Array  # [n, 2] m
-    upper: jax.Array
 
-
-def bounds_overlap(geometry: Bounds, a: np.ndarray, b: np.ndarray, d: jax.Array, margin: jax.Array) -> jax.Array:
+def bounds_overlap(geometry: Geometry, a: np.ndarray, b: np.ndarray, d: jax.Array, margin: jax.Array) -> jax.Array:
     reach = margin[:, None]
     below = geometry.lower[b] + d <= geometry.upper[a] + reach
     above = geometry.upper[b] + d >= geometry.lower[a] - reach

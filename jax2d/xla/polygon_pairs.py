@@ -88,7 +88,7 @@ def polygon_polygon(
     points = points_of(faces, rules)
     points = points._replace(exists=points.exists & (points.separation <= margin))
     if rules.is_soft:
-        points = _at_seams(points, faces, relative_velocity, margin)
+        points = _at_seams(_deeper_last(points), faces, relative_velocity, margin)
     points = points._replace(
         normal=jnp.broadcast_to(jnp.where(faces.flipped, -points.normal, points.normal), (2, 2)),
         feature=points.feature.astype(jnp.int32),
@@ -276,6 +276,15 @@ def clip(faces: Faces) -> jax.Array:
 def _halfway(rules: Rules) -> float:
     """Share of an overlap by which points lie above the incident edge."""
     return 0.5 if rules.is_soft else 0
+
+
+def _deeper_last(points: Points) -> Points:
+    """Points are solved one after another: the deeper last, so that a mirror image is solved alike."""
+    is_first_deeper = jnp.all(points.exists) & (points.separation[0] < points.separation[1])
+    swapped = points._replace(
+        point=points.point[::-1], separation=points.separation[::-1], feature=points.feature[::-1]
+    )
+    return choose(is_first_deeper, swapped, points)
 
 
 def _at_seams(points: Points, faces: Faces, relative_velocity: jax.Array, margin: jax.Array) -> Points:

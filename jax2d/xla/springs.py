@@ -3,8 +3,8 @@
     impulse = -h (k (C + theta h v) + c v), C = length - rest length at the start of the sub-step, v the speed after it
 
 With q = k h^2 / mass, theta = q + (theta_max - q_max) (q / q_max)^2: a spring that is slow against the sub-step is
-solved as free motion is (semi-implicit, which keeps its energy), a fast one implicitly. The stiffest that can be solved
-is a joint: q_max and theta_max are its. The line is where both anchors are now, so that the impulse acts on both bodies
+solved as free motion is (semi-implicit, which keeps its energy), a fast one implicitly. q_max and theta_max are those
+of the stiffest that can be solved. The line is where both anchors are now, so that the impulse acts on both bodies
 along one line and changes no momentum of the two.
 """
 
@@ -19,7 +19,7 @@ from jax2d.constants import CONSTANTS as C
 from jax2d.scene import Scene, State
 from jax2d.solver_numbers import Softness, SolverNumbers
 from jax2d.xla import vec2
-from jax2d.xla.active_set import ActiveSet, marked
+from jax2d.xla.active_set import ActiveSet, has_one_of, marked
 from jax2d.xla.bodies import Bodies, Pair, Velocities, is_slowed, pair_up, pair_velocities, scatter_velocities
 from jax2d.xla.branching import choose
 from jax2d.xla.rows import Jacobian, arms, current_gap, inverse_mass, push, speed_along, work_of_kinematic
@@ -82,6 +82,16 @@ def prepare(bodies: Bodies, scene: Scene, impulses: SpringImpulses) -> Springs:
     )
 
 
+def replace_found(old: Springs, new: Springs, which: jax.Array) -> Springs:
+    """Springs of the bodies of `which` [n] bool, which can be pushed, as they were prepared; others stay."""
+    is_of = has_one_of(old.pair, which)
+    return new._replace(
+        angle_a=jnp.where(is_of, new.angle_a, old.angle_a),
+        angle_b=jnp.where(is_of, new.angle_b, old.angle_b),
+        centre_gap=jnp.where(is_of[:, None], new.centre_gap, old.centre_gap),
+    )
+
+
 def store(bodies: Bodies, springs: Springs, state: State) -> jax.Array:
     """Impulses as in `State.spring_impulse`; those that hold nothing keep what they had."""
     solved = jnp.where(is_slowed(bodies, springs.pair)[:, None], 0, jnp.stack(springs.impulses, -1))
@@ -126,7 +136,7 @@ class Row(NamedTuple):
 def solve(
     bodies: Bodies, springs: Springs, params: SolverNumbers, active: ActiveSet, *, use_bias: bool, forces: bool
 ) -> tuple[Bodies, Springs, jax.Array]:
-    """One pass over all elements. No `forces` in a bounce: they do nothing in an instant. Also the bodies [n] that they
+    """Passes over all elements. No `forces` in a bounce: they do nothing in an instant. Also the bodies [n] that they
     moved in a repeated pass."""
     if springs.rest_length.shape[0] == 0:
         return bodies, springs, jnp.zeros_like(active.now)
@@ -171,17 +181,23 @@ def solve(
         return scatter_velocities(velocities, row.pair, before, of), (solved, active.moves(before, of))
 
     included = active.includes(springs.pair)
-    velocities, (impulses, moved) = jax.lax.scan(solve_one, bodies.velocities, (row, springs.impulses, included))
+
+    def one_pass(now: tuple[Velocities, SpringImpulses], _: None) -> tuple:
+        velocities, (impulses, moved) = jax.lax.scan(solve_one, now[0], (row, now[1], included))
+        return (velocities, impulses), moved
+
+    passes = C.spring_passes if use_bias else 1
+    (velocities, impulses), moved = jax.lax.scan(one_pass, (bodies.velocities, springs.impulses), length=passes)
     return (
         bodies._replace(velocities=velocities),
         springs._replace(impulses=impulses),
-        marked(bodies, springs.pair, moved),
+        marked(bodies, springs.pair, jnp.any(moved, axis=0)),
     )
 
 
 def solvable(stiffness: jax.Array, inverse: jax.Array, params: SolverNumbers) -> tuple[jax.Array, jax.Array]:
-    """(stiffness, at most that of a joint; theta: how far ahead it looks, in sub-steps), [S]. `inverse`: h^2 / mass."""
-    bias_rate, mass_scale, impulse_scale = params.joint
+    """(stiffness, of what can be solved; theta: how far ahead it looks, in sub-steps), [S]. `inverse`: h^2 / mass."""
+    bias_rate, mass_scale, impulse_scale = params.spring
     is_soft = impulse_scale > 0
     max_q = jnp.where(is_soft, mass_scale / jnp.where(is_soft, impulse_scale, 1) * bias_rate * params.h, C.far_distance)
     max_theta = jnp.where(is_soft, 1 / jnp.where(is_soft, bias_rate * params.h, 1), 0)
@@ -201,8 +217,8 @@ def limit_impulse(
     use_bias: bool,
 ) -> jax.Array:
     """New total of a one-sided limit. clearance: what is left before it; speed: that at which it grows. It is softened
-    as joints do: rows of rods that do not, and light sliders that carry heavy ones, would gain energy."""
-    soft = params.joint if use_bias else Softness(0.0, 1.0, 0.0)
+    as the stiffest spring is: rows of rods that are not would gain energy."""
+    soft = params.spring if use_bias else Softness(0.0, 1.0, 0.0)
     back = jnp.maximum(soft.bias_rate * clearance, -params.joint_pull_speed)
     hard = -mass * (speed + clearance / params.h)
     softened = -mass * soft.mass_scale * (speed + back) - soft.impulse_scale * accumulated

@@ -24,12 +24,14 @@ from jax2d.xla import contacts as contacts_of
 from jax2d.xla import islands as islands_of
 from jax2d.xla import joints as joints_of
 from jax2d.xla import springs as springs_of
-from jax2d.xla.active_set import ActiveSet
+from jax2d.xla.active_set import ActiveSet, has_one_of, marked
 from jax2d.xla.bodies import Bodies, Velocities
+from jax2d.xla.bounces import Solved
 from jax2d.xla.branching import choose, in_any_world
 from jax2d.xla.contacts import ContactCache, Contacts
-from jax2d.xla.joints import Joints
-from jax2d.xla.prediction import outruns_contacts
+from jax2d.xla.islands import Islands
+from jax2d.xla.joints import Joints, PlacedJoints
+from jax2d.xla.prediction import Found, outruns_contacts
 from jax2d.xla.rules import Rules
 
 
@@ -43,7 +45,7 @@ class Progress(NamedTuple):
     touch: jax.Array  # [n, n] bool, who touched whom in this step
     overflow: jax.Array  # [] int32
     v_at_detection: Velocities  # when contacts were found
-    max_energy: jax.Array  # [] J, what bounces may leave the world with
+    max_energy: jax.Array  # [n] J, what bounces may leave, summed over an island
     tally: reports.Tally | None  # of what contacts did, if that is reported
 
 
@@ -69,7 +71,7 @@ def run(
             angle=bodies.angle,
             velocity=bodies.velocities.velocity,
             angular_velocity=bodies.velocities.omega,
-            joint_impulse=joints_of.store(end.bodies, end.joints, state, rules),
+            joint_impulse=joints_of.store(end.joints, state),
             spring_impulse=springs_of.store(end.bodies, end.joints.springs, state),
             contact_key=end.cache.key,
             contact_impulse=end.cache.impulse,
@@ -92,12 +94,11 @@ class StepState(NamedTuple):
 
     progress: Progress
     substep: jax.Array  # [] int32, that is solved next
-    interrupted: jax.Array  # [] bool, it was stopped before anything moved: forces have acted in it
-    find: jax.Array  # [] bool, contacts are found before it is solved
-    every_substep: (
-        jax.Array
-    )  # [] bool, contacts are found in each sub-step, where a body turns too far for those found once
-    interruptions: jax.Array  # [] int32
+    stopped: jax.Array  # [] bool, `found` were before they moved: forces have acted, and only they are solved
+    stops: jax.Array  # [] int32, in this sub-step
+    found: jax.Array  # [n] bool, their contacts are found before it is solved
+    every: jax.Array  # [n] bool, their contacts are found in each sub-step, since those found once would not hold
+    waiting: jax.Array  # [n] bool, they have not moved yet in this sub-step
     v_substep_start: Velocities  # of the sub-step, when forces had acted and nothing had been solved
 
 
@@ -109,79 +110,131 @@ def soft_step(
     thrusters = forces.load(bodies_of.load(scene, state), scene, controls, params)
     context = contacts_of.Context(scene, params, rules, capacity)
 
-    def find(bodies: Bodies, cache: ContactCache, dt: jax.Array, is_start: jax.Array) -> Contacts:
-        return contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, dt, is_start)
+    def find(bodies: Bodies, cache: ContactCache, dt: jax.Array, is_start: jax.Array, which: jax.Array) -> Contacts:
+        return contacts_of.find(bodies, geometry.build(scene, bodies), cache, context, dt, is_start, which)
 
     def solve(now: StepState) -> StepState:
         bodies, joints, contacts, cache, touch, overflow, v_at_detection, max_energy, tally = now.progress
-        _, substep, interrupted, is_found, every_substep, interruptions, v_substep_start = now
-        left = h * jnp.where(every_substep, 1, rules.substeps - substep)
-        found = bodies_of.end_step(bodies)
-        found_contacts = find(found, cache, left, ~interrupted)
-        found_joints = joints_of.prepare(found, scene, joints.warm_start_impulses(), controls, params)
-        found_energy = bounces.energy(found, found.velocities, scene.gravity, h)
-        # Of a sub-step that was stopped, bodies have had the impulses already.
-        found_energy -= jnp.where(interrupted, bounces.carried_work(found, found_joints, found_contacts, h), 0)
-        bodies, contacts, joints, v_at_detection, max_energy = choose(
-            is_found,
-            (found, found_contacts, found_joints, found.velocities, found_energy),
-            (bodies, contacts, joints, v_at_detection, max_energy),
+        _, substep, stopped, stops, found, every, waiting, v_substep_start = now
+        is_all = (substep == 0) & ~stopped
+        bodies = bodies_of.end_step(bodies, found)
+        found_contacts = find(bodies, cache, h * jnp.where(is_all, rules.substeps, 1), ~stopped, found)
+        is_found = jnp.any(found)
+        contacts = contacts_of.replace_found(contacts, found_contacts, found)
+        overflow += jnp.where(is_found, contacts.overflow, 0)
+        found_joints = joints_of.prepare(bodies, scene, joints.warm_start_impulses(), controls, params)
+        joints = joints_of.replace_found(joints, found_joints, found & bodies.is_dynamic)
+        islands = islands_of.find(bodies, contacts, joints)
+        every = jnp.where(is_all, islands.whole_groups(contacts.unsteady), every)
+        v_at_detection = Velocities(
+            jnp.where(found[:, None], bodies.velocities.velocity, v_at_detection.velocity),
+            jnp.where(found, bodies.velocities.omega, v_at_detection.omega),
         )
+        found_energy = bounces.energy(bodies, bodies.velocities, scene.gravity, h)
+        # Of a sub-step that was stopped, bodies have had the impulses already.
+        found_rows = joints_of.constraints(bodies, joints)
+        found_energy -= jnp.where(stopped, bounces.carried_work(bodies, joints, found_rows, contacts, h), 0)
+        max_energy = jnp.where(found, found_energy, max_energy)
         if tally is not None:
             tally = choose(is_found, reports.begin(tally, contacts), tally)
-            tally = choose(interrupted, tally, reports.warm_start(tally))
-        every_substep = jnp.where((substep == 0) & ~interrupted, contacts.each_substep, every_substep)
+            tally = choose(stopped, tally, reports.warm_start(tally))
 
         driven = bodies_of.apply_gravity(bodies, scene.gravity, h)
         driven = forces.apply(driven, thrusters, h)
         driven = forces.apply_external(driven, controls, h)
         driven = bodies_of.apply_damping(driven, scene, h)
-        v_substep_start = choose(interrupted, v_substep_start, driven.velocities)
-        driven = joints_of.warm_start(driven, joints)
+        v_substep_start = choose(stopped, v_substep_start, driven.velocities)
+        driven = springs_of.warm_start(driven, joints.springs)
+        joints = choose(stopped, joints, joints_of.without_impulses(joints))
         driven, warm_contacts = contact_solver.warm_start(driven, contacts)
-        bodies, contacts = choose(interrupted, (bodies, contacts), (driven, warm_contacts))
-        bodies, joints, contacts = _solve_passes(bodies, joints, contacts, params, rules, use_bias=True)
-        # Where a body would now go farther than was predicted, contacts are found again before anything moves.
-        can_touch, reach = scene.shapes.can_touch, params.speculative_distance
-        outruns = outruns_contacts(bodies, contacts.predicted, contacts.pair, can_touch, reach, left)
-        interrupted = outruns & (interruptions < C.max_interruptions)
-        moved = bodies_of.move(bodies, h, params.max_speed, params.max_angular_speed)
-        bodies = choose(interrupted, bodies, moved)
-        substep = jnp.where(interrupted, substep, substep + 1)
-        interruptions = jnp.where(interrupted, interruptions + 1, interruptions)
-        bodies, joints, contacts = _relax(bodies, joints, contacts, v_substep_start, params, rules)
-        max_energy += jnp.sum(joints_of.motor_work(bodies, joints)) + forces.work(bodies, thrusters, h)
-        max_energy += jnp.sum(springs_of.work(bodies, joints.springs))
-        max_energy += forces.external_work(bodies, controls, h)
-        carried = bounces.carried_work(bodies, joints, contacts, h)
-        max_energy += carried
+        bodies, contacts = choose(stopped, (bodies, contacts), (driven, warm_contacts))
+        solved = found | ~stopped
+        placed = joints_of.place(bodies, joints)
+        bodies, joints, contacts = _solve_passes(
+            Solved(bodies, joints, contacts), placed, islands, params, rules, only=solved
+        )
+        # Islands of bodies that would now go farther than was predicted are stopped before they move: their contacts
+        # are found again, from here on in each sub-step.
+        outrunning = outruns_contacts(
+            bodies,
+            contacts.predicted,
+            contacts.pair,
+            scene.shapes.can_touch,
+            params.speculative_distance,
+            Found(found, every, waiting, left=h * (rules.substeps - substep), h=h),
+        )
+        outrunning = islands.whole_groups(outrunning) & (stops < C.max_stops)
+        ends = every | (substep == rules.substeps - 1)
+        moving = waiting & ~outrunning
+        ending = (moving & ends) | (outrunning & (waiting | ~ends))
+        bodies = bodies_of.move(bodies, h, params.max_speed, params.max_angular_speed, moving)
+        bodies, joints, contacts = _relax(
+            Solved(bodies, joints, contacts),
+            placed,
+            islands,
+            (v_at_detection, v_substep_start),
+            params,
+            rules,
+            only=solved,
+        )
+        work = bounces.driven_work(bodies, joints, placed.rows) + forces.work(bodies, thrusters, h)
+        work += forces.external_work(bodies, controls, h)
+        carried = bounces.carried_work(bodies, joints, placed.rows, contacts, h)
+        max_energy += jnp.where(solved, work + carried, 0)
 
-        is_end = interrupted | every_substep | (substep == rules.substeps)
-        rebound_target = jnp.where(is_end, bounces.rebound_speed(bodies, contacts, scene.gravity, params), 0)
-        rebound_target, contacts = impact_propagation.propagate(bodies, v_at_detection, contacts, rebound_target)
+        is_ending = has_one_of(contacts.pair, ending & bodies.moves)
+        rebound_target = jnp.where(is_ending, bounces.rebound_speed(bodies, contacts, scene.gravity, params), 0)
+        rebound_target, contacts = impact_propagation.propagate(
+            bodies, v_at_detection, contacts, islands, rebound_target
+        )
         energy_limit = bounces.EnergyLimit(max_energy, carried, scene.gravity)
-        bounced, bounce_impulses = bounces.bounce(bodies, joints, contacts, rebound_target, energy_limit, params, rules)
-        bounced = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed)
+        bounced, bounce_impulses = bounces.bounce(
+            Solved(bodies, joints, contacts),
+            joints_of.place(bodies, joints),
+            islands,
+            rebound_target,
+            energy_limit,
+            params,
+            rules,
+        )
+        bounced, _ = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed, ending)
         if tally is not None:
             tally = reports.add(tally, contacts)
-            tally = reports.add_impulse(tally, contacts, jnp.where(is_end, bounce_impulses, 0))
+            tally = reports.add_impulse(tally, contacts, bounce_impulses)
+        # The impulse of a bounce does not last.
+        contacts = contacts._replace(is_impact=contacts.is_impact | (rebound_target > 0))
         progress = Progress(bodies, joints, contacts, cache, touch, overflow, v_at_detection, max_energy, tally)
-        ended = _finish_contacts(progress._replace(bodies=bounced), contacts.is_impact | (rebound_target > 0))
-        progress = choose(is_end, ended, progress)
-        return StepState(progress, substep, interrupted, is_end, every_substep, interruptions, v_substep_start)
+        ended = _finish_contacts(progress._replace(bodies=bounced), contacts.is_impact)
+        progress = choose(jnp.any(ending), ended, progress)
+
+        stopped = jnp.any(outrunning)
+        every |= outrunning
+        return StepState(
+            progress,
+            substep=jnp.where(stopped, substep, substep + 1),
+            stopped=stopped,
+            stops=jnp.where(stopped, stops + 1, 0),
+            found=jnp.where(stopped, outrunning, every),
+            every=every,
+            waiting=(waiting & outrunning) | ~stopped,
+            v_substep_start=v_substep_start,
+        )
 
     def solve_unless_done(now: StepState, _: None) -> tuple[StepState, None]:
         is_left = now.substep < rules.substeps
         return jax.lax.cond(in_any_world(is_left), lambda: choose(is_left, solve(now), now), lambda: now), None
 
     start = _begin(scene, state, controls, params)
-    no_contacts = jax.eval_shape(find, start[0], start[2], jnp.zeros_like(scene.gravity[0]), jnp.array(True))
+    everything = jnp.ones(start[0].angle.shape, bool)
+    no_contacts = jax.eval_shape(
+        find, start[0], start[2], jnp.zeros_like(scene.gravity[0]), jnp.array(True), everything
+    )
     empty = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), no_contacts)
     progress = Progress(start[0], start[1], empty, start[2], *_nothing_recorded(capacity, start[0], rules))
     none, no = jnp.zeros((), jnp.int32), jnp.array(False)
-    step_state = StepState(progress, none, no, ~no, no, none, progress.v_at_detection)
-    # One program for sub-steps, those that find contacts every_substep, and those that are stopped.
-    step_state, _ = jax.lax.scan(solve_unless_done, step_state, length=rules.substeps + C.max_interruptions)
+    step_state = StepState(progress, none, no, none, everything, ~everything, everything, progress.v_at_detection)
+    # One program for sub-steps, those that find contacts, and those that are stopped.
+    step_state, _ = jax.lax.scan(solve_unless_done, step_state, length=rules.substeps * (1 + C.max_stops))
     return step_state.progress
 
 
@@ -192,57 +245,71 @@ class Pass(NamedTuple):
     joints: Joints
     contacts: Contacts
     active: ActiveSet
-    follows: jax.Array  # [] bool, it is called for
-    was_limited: jax.Array  # [] bool, a speed limit has acted
 
 
 def _solve_passes(
-    bodies: Bodies,
-    joints: Joints,
-    contacts: Contacts,
+    start: Solved,
+    placed: PlacedJoints | None,
+    islands: Islands,
     params: SolverNumbers,
     rules: Rules,
     *,
-    use_bias: bool,
-    only: jax.Array | None = None,
-) -> tuple[Bodies, Joints, Contacts]:
-    """`only`: the bodies [n] that this is about; None: all.
+    only: jax.Array,
+    sharing: tuple[PlacedJoints, jax.Array] | None = None,
+) -> Solved:
+    """Passes with bias, or without where no joints are `placed`: they are not relaxed, since with bias they have the
+    velocities that keep anchors together. `only`: the bodies [n] that this is about. sharing: joints as the bodies
+    stand, and [] bool whether they are solved all the same, since an island has gained energy.
 
-    Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one. With
-    bias, where a speed limit takes back what stops a body, the rest of it is solved again. And where something hits,
-    passes go on until all that it reaches has its share.
+    Joints, contacts, and joints again: so each has what the other answers. With bias, where a speed limit takes back
+    what stops a body, the rest of it is solved again with all of its island. And where something hits, passes go on
+    until all that it reaches has its share.
     """
-    everything = ActiveSet.everything(bodies) if only is None else ActiveSet.of(only)
+    use_bias = placed is not None
+    bodies, joints, contacts = start
+    touching = islands.whole(marked(bodies, contacts.pair, contacts.key >= 0))
 
     def solve(now: Pass, index: jax.Array) -> Pass:
-        def joint_pass(carry: tuple[Bodies, Joints], _: None) -> tuple[tuple[Bodies, Joints], jax.Array]:
-            *carry, moved = joints_of.solve_soft(*carry, params, now.active, use_bias=use_bias)
-            return tuple(carry), moved
-
-        joint_passes = C.joint_passes if use_bias else 1
-        (bodies, joints), moved = jax.lax.scan(joint_pass, (now.bodies, now.joints), length=joint_passes)
-        moved = jnp.any(moved, axis=0)
+        if placed is None:
+            bodies, springs, moved = springs_of.solve(
+                now.bodies, now.joints.springs, params, now.active, use_bias=False, forces=True
+            )
+            joints = now.joints._replace(springs=springs)
+            if sharing is not None:
+                at, has_gained = sharing
+                shared = joints_of.solve_soft(now.bodies, now.joints, at, params, now.active, use_bias=False)
+                bodies, joints, moved = choose(has_gained, shared, (bodies, joints, moved))
+        else:
+            bodies, joints, moved = joints_of.solve_soft(
+                now.bodies, now.joints, placed, params, now.active, use_bias=True
+            )
         bodies, contacts, hit = contact_solver.solve_soft(bodies, now.contacts, params, now.active, use_bias=use_bias)
-        next_active = ActiveSet(moved | hit, jnp.array(True), everything.only)
-        follows = jnp.any(next_active.now) & (index < rules.impact_passes)
+        if placed is not None:
+            bodies, joints, moved_again = joints_of.solve_soft(
+                bodies, joints, placed, params, now.active, use_bias=True, is_first=False
+            )
+            moved |= moved_again
+        shared = (hit | (moved & islands.whole(now.active.moved))) & (index < rules.impact_passes)
         if not use_bias:
-            return Pass(bodies, joints, contacts, next_active, follows, now.was_limited)
-        limited = bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed)
-        is_limited = (limited.limited > bodies.limited) & jnp.any(contacts.key >= 0) & (index < C.limited_passes)
-        limited = limited._replace(limited=jnp.where(now.was_limited, bodies.limited, limited.limited))  # counted once
-        next_active = choose(is_limited, everything, next_active)
-        return Pass(limited, joints, contacts, next_active, follows | is_limited, now.was_limited | is_limited)
+            return Pass(bodies, joints, contacts, ActiveSet(shared, shared))
+        solved = islands.whole(now.active.now)
+        bodies, slowed = bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed, solved)
+        anew = islands.whole(slowed) & touching & (index < C.limited_passes)
+        shared &= ~anew
+        return Pass(bodies, joints, contacts, ActiveSet(shared | anew, shared))
 
     def one_pass(now: Pass, index: jax.Array) -> tuple[Pass, None]:
+        follows = jnp.any(now.active.now)
+
         def solved() -> Pass:
-            return choose(now.follows, solve(now, index), now)
+            return choose(follows, solve(now, index), now)
 
-        return jax.lax.cond(in_any_world(now.follows), solved, lambda: now), None
+        return jax.lax.cond(in_any_world(follows), solved, lambda: now), None
 
-    first = Pass(bodies, joints, contacts, everything, follows=jnp.array(True), was_limited=jnp.array(False))
+    first = Pass(bodies, joints, contacts, ActiveSet.of(only))
     num_passes = 1 + max(rules.impact_passes, C.limited_passes if use_bias else 0)
     last, _ = jax.lax.scan(one_pass, first, jnp.arange(num_passes))
-    return last.bodies, last.joints, last.contacts
+    return Solved(last.bodies, last.joints, last.contacts)
 
 
 class Relaxed(NamedTuple):
@@ -255,19 +322,30 @@ class Relaxed(NamedTuple):
 
 
 def _relax(
-    bodies: Bodies, joints: Joints, contacts: Contacts, v_substep_start: Velocities, params: SolverNumbers, rules: Rules
-) -> tuple[Bodies, Joints, Contacts]:
-    """Solves without bias, islands that gain energy by that again."""
-    islands = islands_of.find(bodies, contacts, joints)
-    allowed = islands_of.max_energy(bodies, v_substep_start, params.h)
+    start: Solved,
+    placed: PlacedJoints,
+    islands: Islands,
+    before: tuple[Velocities, Velocities],
+    params: SolverNumbers,
+    rules: Rules,
+    only: jax.Array,
+) -> Solved:
+    """Solves the bodies of `only` [n] bool, whole islands, without bias, islands that gain energy by that again.
+
+    before: velocities when contacts were found, and those of the sub-step when forces had acted and nothing had been
+    solved."""
+    (bodies, joints, contacts), (v_at_detection, v_substep_start) = start, before
+    drift = islands_of.drift(islands, bodies, v_at_detection)
+    bound = islands_of.energy_bound(bodies, v_substep_start, drift, params.h)
+    standing = joints_of.place(bodies, joints)
 
     def solve(now: Relaxed, index: jax.Array) -> Relaxed:
         reset = islands_of.reset_impulses(islands, now.bodies, now.joints, now.contacts, v_substep_start, now.gains)
         is_reset = index == C.energy_passes_before_reset
-        start = choose(is_reset, reset, (now.bodies, now.joints, now.contacts))
-        end = _solve_passes(*start, params, rules, use_bias=False, only=now.gains)
+        begun = Solved(*choose(is_reset, reset, (now.bodies, now.joints, now.contacts)))
+        end = _solve_passes(begun, None, islands, params, rules, only=now.gains, sharing=(standing, index > 0))
         spare = jnp.where(index + 1 == C.energy_passes_before_reset, C.reset_gain, 0)
-        gains = now.gains & islands_of.gains_energy(islands, *end, allowed, params.h, spare)
+        gains = now.gains & islands_of.gains_energy(islands, end[0], end[1], placed.rows, end[2], bound, spare)
         return Relaxed(*end, gains)
 
     def one_pass(now: Relaxed, index: jax.Array) -> tuple[Relaxed, None]:
@@ -278,9 +356,9 @@ def _relax(
 
         return jax.lax.cond(in_any_world(gains), solved, lambda: now), None
 
-    first = Relaxed(bodies, joints, contacts, gains=jnp.ones(bodies.inverse_mass.shape, bool))
+    first = Relaxed(bodies, joints, contacts, gains=only)
     last, _ = jax.lax.scan(one_pass, first, jnp.arange(1 + C.energy_passes))
-    return last.bodies, last.joints, last.contacts
+    return Solved(last.bodies, last.joints, last.contacts)
 
 
 def paper_step(
@@ -312,7 +390,8 @@ def paper_step(
     bodies = bodies_of.move(bodies, params.dt, params.max_speed, params.max_angular_speed)
     if tally is not None:
         tally = reports.add(tally, contacts)
-    return _finish_contacts(Progress(bodies, joints, contacts, cache, *recorded, tally))
+    progress = _finish_contacts(Progress(bodies, joints, contacts, cache, *recorded, tally))
+    return progress._replace(overflow=contacts.overflow)
 
 
 def _begin(
@@ -331,7 +410,7 @@ def _nothing_recorded(
     touch, overflow = jnp.zeros((capacity.shapes, capacity.shapes), bool), jnp.zeros((), jnp.int32)
     dtype = bodies.angle.dtype
     tally = reports.nothing(capacity, dtype) if rules.report_contacts else None
-    return touch, overflow, bodies.velocities, jnp.zeros((), dtype), tally
+    return touch, overflow, bodies.velocities, jnp.zeros_like(bodies.angle), tally
 
 
 def _finish_contacts(progress: Progress, transient: jax.Array | bool = False) -> Progress:
@@ -341,7 +420,6 @@ def _finish_contacts(progress: Progress, transient: jax.Array | bool = False) ->
         tally=None if tally is None else reports.locate(tally, progress.bodies, contacts),
         cache=contacts_of.cache_of(contacts, transient),
         touch=progress.touch | touching(contacts),
-        overflow=progress.overflow + contacts.overflow,
     )
 
 

@@ -73,9 +73,9 @@ def most_energy(settings: str, backend: str = "warp", num_worlds: int = NUM_WORL
 def test_what_slips_free_is_not_thrown(settings: str, backend: str) -> None:
     # J/kg. Without relax passes that are repeated where energy is gained: 370, more than 10 in half of these worlds.
     # How a jam comes free hangs on the last bit, so that another processor draws other numbers from one distribution:
-    # of 1,024 worlds 95 % stay below 1.0, 1.2, 2.5 (draft, standard, fine) and the last reaches 5.1, 5.0, 7.6.
+    # of 512 worlds the last reaches 1.0, 1.6, 4.8 (draft, standard, fine).
     energy = most_energy(settings, backend)
-    assert np.percentile(energy, 95) < 4 and energy.max() < 20
+    assert np.percentile(energy, 95) < 4 and energy.max() < 8
 
 
 def test_a_heavy_body_elsewhere_hides_no_jam() -> None:

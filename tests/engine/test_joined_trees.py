@@ -1,7 +1,7 @@
 """Trees of parts that joints hold together, of unequal masses, gain no energy: nothing drives them.
 
 A light part between heavy ones is what joints that are solved one after another do worst: an error that they cannot
-undo oscillates, and is fed by what undoes gaps (jax2d/softened_joints.py). Energy is that of mechanics, in float64.
+undo oscillates, and is fed by what undoes gaps. Energy is that of mechanics, in float64.
 test_follows_float64.py has the reference.
 """
 
@@ -101,16 +101,6 @@ def test_trees_gain_no_energy(solver: tuple[str, Engine], name: str, hangs: bool
     assert (gained > USUAL).sum() <= NUM_ABOVE
 
 
-def test_stiff_joints_would_make_energy():
-    """A light part between heavy ones has trees spin themselves up, with the frequency of other joints: the reason for
-    the rule."""
-    settings = preset("standard")
-    settings = settings.replace(
-        softened_hertz_share=settings.joint_hertz_share, softened_damping_ratio=settings.joint_damping_ratio
-    )
-    assert (gains(TREES["welded", False], Engine(CAPACITY, settings=settings)) > 1).sum() >= 3
-
-
 def row(num: int, side: float, spin: float, *, hangs: bool) -> BuiltWorld:
     """Boxes 1 m apart, welded half-way between, where a body has an arm of many radii of gyration; turning as one body
     about their middle, or held by the first and let go."""
@@ -133,7 +123,9 @@ HUNG_ROWS = [row(num, side, 0.0, hangs=True) for num in (3, 4, 6) for side in (0
 @pytest.mark.also_gpu
 @pytest.mark.parametrize("worlds", [ROWS, HUNG_ROWS], ids=["turning", "hung"])
 def test_welds_far_from_what_they_hold_make_no_energy(solver: tuple[str, Engine], worlds: list[BuiltWorld]):
-    assert gains(worlds, solver[1], seconds=5.0).max() < 0.01
+    """Beyond what velocities differ by where joints take bodies around circles: 4e-4 of it."""
+    speeds = [np.abs(np.asarray(world.velocity)).max() for world in worlds]
+    assert (gains(worlds, solver[1], seconds=5.0) < 0.01 + 2e-4 * np.square(speeds)).all()
 
 
 def table(seed: int) -> BuiltWorld:

@@ -123,14 +123,21 @@ def test_remembered_impulses_stay_with_their_feature():
     b.add_polygon([(-0.5, 0), (0.5, 0), (0.5, 0.3), (-0.5, 1)])
     world = b.build()
     at_rest = run(world, 2.0)
-    (left, right), before = at_rest.contact_key[:2], at_rest.contact_impulse[:2, 0]
+    keys, before = by_feature(at_rest)
     assert before[0] > 1.3 * before[1] or before[1] > 1.3 * before[0]  # it is heavier on the left
     for tip in (-5e-4, 5e-4):
         angle = at_rest.angle.copy()
         angle[1] += tip
         after, _ = engine().step(world.scene, dataclasses.replace(at_rest, angle=angle))
-        assert np.asarray(after.contact_key[:2]) == pytest.approx([left, right])
-        assert np.asarray(after.contact_impulse[:2, 0]) == pytest.approx(before, rel=0.25)
+        keys_after, impulses_after = by_feature(after)
+        assert (keys_after == keys).all()
+        assert impulses_after == pytest.approx(before, rel=0.25)
+
+
+def by_feature(state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Keys and normal impulses of the two contacts, by their features; the engine has the deeper one last."""
+    keys, impulses = np.asarray(state.contact_key[:2]), np.asarray(state.contact_impulse[:2, 0])
+    return np.sort(keys), impulses[np.argsort(keys)]
 
 
 # Contacts
@@ -275,7 +282,7 @@ def test_welded_cantilever_comes_to_rest():
     """The published engine's cantilever never settles."""
     (m,) = record_worlds(Engine(LARGE), [cantilever().world], seconds=20.0)
     fastest = [m.speed()[m.index_at(t) : m.index_at(t + 5)].max() for t in (0, 5, 10, 15)]
-    assert (np.divide(fastest[1:], fastest[:-1]) < 0.5).all()
+    assert max(fastest[1:]) < 1e-4
     assert m.joint_gaps().max() < 0.01
 
 

@@ -327,8 +327,10 @@ def test_states_pass_between_backends() -> None:
     (again, _), state = turns[0].step(scene, state), jax.tree.map(lambda x: x[0], state)
     again = jax.tree.map(lambda x: x[0], again)
     assert np.sum(np.asarray(again.contact_key) >= 0) == 8
-    np.testing.assert_array_equal(again.contact_key, state.contact_key)
-    np.testing.assert_allclose(again.contact_impulse, state.contact_impulse, atol=1e-4)
+    # The deeper of two points comes last, and these are as deep to rounding.
+    by_key, by_key_again = np.argsort(state.contact_key), np.argsort(again.contact_key)
+    np.testing.assert_array_equal(again.contact_key[by_key_again], state.contact_key[by_key])
+    np.testing.assert_allclose(again.contact_impulse[by_key_again], state.contact_impulse[by_key], atol=1e-4)
     assert float(jnp.abs(again.velocity).max()) < 1e-3
     assert again.position[boxes[-1], 1] == pytest.approx(1.75, abs=0.01)
 

@@ -137,7 +137,7 @@ def test_spring_of_any_stiffness_gains_no_energy(stiffness: float, dt: float):
     energy = m.energy()
     assert energy.max() <= energy[0] * (1 + 1e-4)
     # The stiffest are as stiff as a joint: at 64 Hz, 32 at this dt, the weight stretches one by 0.06 and 0.24 mm.
-    sag = G / min(stiffness, (2 * math.pi * STANDARD.joint_hertz_share * STANDARD.substeps / dt) ** 2)
+    sag = G / min(stiffness, (2 * math.pi * STANDARD.spring_hertz_share * STANDARD.substeps / dt) ** 2)
     assert m.position[-1, disc, 1] == pytest.approx(-1 - sag, abs=1e-5)
 
 

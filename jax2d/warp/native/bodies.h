@@ -8,7 +8,7 @@ struct Bodies {
   ARRAY(unsigned int, present, SHAPE_WORDS);  // a bit a shape that is active
   ARRAY(unsigned int, moving, SHAPE_WORDS);  // a bit a shape that moves; most work is for these alone
   ARRAY(unsigned int, counts_turns, SHAPE_WORDS);  // a bit a shape whose angle is not wrapped
-  int limited;                        // times a speed limit acted
+  int limited;                        // shapes on which a speed limit acted, each once a step
   ARRAY(unsigned int, slowed, SHAPE_WORDS);  // a bit a shape on which one has acted in this step
 
   // What solving uses of a body. On a GPU much of it is in shared memory: the worlds of a warp use different bodies at
@@ -41,27 +41,32 @@ struct Bodies {
 
   // The shapes of a set, a bit each, one after another.
   struct Each {
-    const unsigned int* words;
-    int word;
-    unsigned int left;
+    EachBit bits;
     int shape;
-    KFN static Each of(const unsigned int* words) { return {words, 0, words[0], -1}; }
-    KFN bool next() {
-      while (left == 0u) {
-        if (++word >= SHAPE_WORDS) return false;
-        left = words[word];
-      }
-      shape = word * 32 + Math::lowest_bit(left);
-      left &= left - 1u;
-      return true;
-    }
+    KFN static Each of(const unsigned int* words) { return {EachBit::of(words, SHAPE_WORDS), -1}; }
+    KFN bool next() { return bits.next(shape); }
   };
 
-  KFN static void clear(unsigned int* shapes) {
-    for (int word = 0; word < SHAPE_WORDS; ++word) shapes[word] = 0u;
+  KFN static void clear(unsigned int* shapes) { Bits::clear(shapes, SHAPE_WORDS); }
+  KFN static void copy(unsigned int* to, const unsigned int* from) {
+    for (int word = 0; word < SHAPE_WORDS; ++word) to[word] = from[word];
   }
-  KFN static void add(unsigned int* shapes, int i) { shapes[i / 32] |= 1u << (i % 32); }
-  KFN static bool has(const unsigned int* shapes, int i) { return (shapes[i / 32] >> (i % 32) & 1u) != 0u; }
+  KFN static bool any(const unsigned int* shapes) {
+    unsigned int all = 0u;
+    for (int word = 0; word < SHAPE_WORDS; ++word) all |= shapes[word];
+    return all != 0u;
+  }
+  KFN static void add(unsigned int* shapes, int i) { Bits::add(shapes, SHAPE_WORDS, i); }
+  KFN static void remove(unsigned int* shapes, int i) { Bits::remove(shapes, SHAPE_WORDS, i); }
+  KFN static bool has(const unsigned int* shapes, int i) { return Bits::has(shapes, SHAPE_WORDS, i); }
+  KFN void add_dynamic(unsigned int* shapes, int a, int b) const {
+    if (is_dynamic(a)) add(shapes, a);
+    if (is_dynamic(b)) add(shapes, b);
+  }
+  KFN void add_moving(unsigned int* shapes, int a, int b) const {
+    if (moves(a)) add(shapes, a);
+    if (moves(b)) add(shapes, b);
+  }
   KFN bool is_active(int i) const { return has(present, i); }
   KFN bool moves(int i) const { return has(moving, i); }
   // Something can push it: kinematic bodies move at their own velocity.
@@ -79,7 +84,7 @@ struct Bodies {
     for (int word = 0; word < TOUCH_WORDS; ++word) active[word] = (unsigned int)(ints.get(INTS_SHAPES_ACTIVE + word));
     for (int i = 0; i < NUM_SHAPES; ++i) {
       int slot = Slot::of(i);
-      if (!has(active, slot)) {
+      if (!Bits::has(active, TOUCH_WORDS, slot)) {
         at(i, INVERSE_MASS) = at(i, INVERSE_INERTIA) = real(0);
         continue;
       }
@@ -108,18 +113,19 @@ struct Bodies {
     }
   }
 
-  // `fixed_too`: in the first step of a call; what cannot move stays as it was made then.
-  KFN void begin_step(bool fixed_too) {
+  // Of `which`, where contacts are found. `fixed_too`: in the first step of a call; what cannot move stays as it was made
+  // then.
+  KFN void begin_step(bool fixed_too, const unsigned int* which) {
     for (int i = 0; i < NUM_SHAPES; ++i) {
-      if (!is_active(i) || (!fixed_too && !moves(i))) continue;
+      if (!is_active(i) || (!fixed_too && !has(which, i))) continue;
       set_delta(i, {real(0), real(0)});
       at(i, TURN) = real(0);
       rotation[i] = {cosf(angle[i]), sinf(angle[i])};
     }
   }
 
-  KFN void end_step() {
-    for (Each each = Each::of(moving); each.next();) {
+  KFN void end_step(const unsigned int* which) {
+    for (Each each = Each::of(which); each.next();) {
       int i = each.shape;
       position[i] = position[i] + delta(i);
       angle[i] += turn(i);
@@ -151,39 +157,33 @@ struct Bodies {
 
   KFN real mass(int i) const { return Math::inverse_or_zero(inverse_mass(i)); }
 
-  // J
-  KFN real kinetic_energy(int i) const {
-    return real(0.5) * (mass(i) * velocity(i).dot(velocity(i)) +
-                        Math::inverse_or_zero(inverse_inertia(i)) * omega(i) * omega(i));
+  // J, at velocity v and spin w.
+  KFN real kinetic_energy(int i, Vec2 v, real w) const {
+    return real(0.5) * (mass(i) * v.dot(v) + Math::inverse_or_zero(inverse_inertia(i)) * w * w);
   }
 
   // No state that a call returns moves faster than the limits: what the last relax pass and bounces gave counts too.
-  KFN void limit_speeds(real max_speed, real max_omega) {
-    for (Each each = Each::of(moving); each.next();) limit_speed(each.shape, max_speed, max_omega);
+  KFN void limit_speeds(const unsigned int* which, real max_speed, real max_omega) {
+    for (Each each = Each::of(which); each.next();) limit_speed(each.shape, max_speed, max_omega);
   }
 
-  KFN void limit_speed(int i, real max_speed, real max_omega) {
+  // True if one has acted.
+  KFN bool limit_speed(int i, real max_speed, real max_omega) {
     real speed_squared = velocity(i).dot(velocity(i));
-    if (speed_squared > max_speed * max_speed) {
-      set_velocity(i, velocity(i) * Fast::divide(max_speed, Fast::root(speed_squared)));
-      count_limit(i);
-    }
-    if (omega(i) > max_omega || omega(i) < -max_omega) {
-      set_omega(i, Math::clamp(omega(i), -max_omega, max_omega));
-      count_limit(i);
-    }
+    bool is_fast = speed_squared > max_speed * max_speed, spins = omega(i) > max_omega || omega(i) < -max_omega;
+    if (is_fast) set_velocity(i, velocity(i) * Fast::divide(max_speed, Fast::root(speed_squared)));
+    if (spins) set_omega(i, Math::clamp(omega(i), -max_omega, max_omega));
+    if (!is_fast && !spins) return false;
+    if (!has(slowed, i)) ++limited;
+    add(slowed, i);
+    return true;
   }
 
   KFN bool is_slowed(int a, int b) const { return has(slowed, a) || has(slowed, b); }
 
-  KFN void count_limit(int i) {
-    ++limited;
-    add(slowed, i);
-  }
-
-  // Semi-implicit Euler: position from the velocity just solved. Speed limits that act are counted.
-  KFN void move(real dt, real max_speed, real max_omega) {
-    for (Each each = Each::of(moving); each.next();) {
+  // Semi-implicit Euler: position from the velocity just solved.
+  KFN void move(const unsigned int* which, real dt, real max_speed, real max_omega) {
+    for (Each each = Each::of(which); each.next();) {
       int i = each.shape;
       limit_speed(i, max_speed, max_omega);
       set_delta(i, delta(i).plus(velocity(i), dt));
@@ -196,6 +196,32 @@ struct Bodies {
   KFN void apply_impulse(int i, Vec2 arm, Vec2 impulse) {
     set_velocity(i, velocity(i).plus(impulse, inverse_mass(i)));
     set_omega(i, Fused::of(inverse_inertia(i), arm.cross(impulse), omega(i)));
+  }
+};
+
+// Velocities of all bodies at another moment.
+struct Velocities {
+  ARRAY(Vec2, velocity, ISLAND_SHAPES);
+  ARRAY(real, omega, ISLAND_SHAPES);
+
+  // Of `which`, a bit a shape.
+  KFN void keep(const Bodies& bodies, const unsigned int* which) {
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
+      velocity[each.shape] = bodies.velocity(each.shape);
+      omega[each.shape] = bodies.omega(each.shape);
+    }
+  }
+
+  KFN void swap(Bodies& bodies, const unsigned int* which) {
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
+      int i = each.shape;
+      Vec2 v = bodies.velocity(i);
+      real w = bodies.omega(i);
+      bodies.set_velocity(i, velocity[i]);
+      bodies.set_omega(i, omega[i]);
+      velocity[i] = v;
+      omega[i] = w;
+    }
   }
 };
 

@@ -1,71 +1,127 @@
-// What bounces may not give a world: more energy than the step began with, and motors, thrusters and moving surfaces
-// have added since.
-// Where several bodies, joints or friction share in an impact, restitution contact by contact may ask for more; then
-// everything that bounces gets the same share of its change of velocity, so that joints and contacts stay solved.
+// Restitution by islands: rounds of passes over an island's joints and contacts, and what they may not give it: more energy
+// than it had when contacts were found, and motors, thrusters and moving surfaces have added since.
+// Where several bodies, joints or friction share in an impact, restitution contact by contact may ask for more; then all
+// of the island gets the same share of its change of velocity, so that joints and contacts stay solved.
 //
 // Energy is that of semi-implicit Euler, which keeps m |v + g h / 2|^2 / 2 - m g.x in free flight to the last digit.
 
 struct Bounces {
-  ARRAY(Vec2, velocity, BOUNCE_SHAPES);  // when contacts were found; later before anything bounced
-  ARRAY(real, omega, BOUNCE_SHAPES);
-  real max_energy;               // J, energy allowed; zero of height is where each body was when contacts were found
+  // J, allowed to each island, at its first body; zero of height is where each body was when contacts were found
+  ARRAY(real, max_energy, BOUNCE_SHAPES);
+  ARRAY(unsigned int, friction_applied, SHAPE_WORDS);  // a bit a shape whose bounces have had their friction
 
-  KFN void begin(const Bodies& bodies, Vec2 gravity, real h) {
-    keep_velocities(bodies);
-    max_energy = real(0);
-    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+  // Contacts of `which` have been found.
+  KFN void begin(const Bodies& bodies, const Islands& islands, const unsigned int* which, Vec2 gravity, real h) {
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();) max_energy[each.shape] = real(0);
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
       int i = each.shape;
       Vec2 v = midway(bodies, i, bodies.velocity(i), gravity, h);
-      max_energy += real(0.5) * (Math::inverse_or_zero(bodies.inverse_mass(i)) * v.dot(v) +
-                           Math::inverse_or_zero(bodies.inverse_inertia(i)) * bodies.omega(i) * bodies.omega(i));
-    }
-  }
-
-  KFN void keep_velocities(const Bodies& bodies) {
-    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
-      int i = each.shape;
-      velocity[i] = bodies.velocity(i);
-      omega[i] = bodies.omega(i);
-    }
-  }
-
-  KFN void swap_velocities(Bodies& bodies) {
-    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
-      int i = each.shape;
-      Vec2 v = bodies.velocity(i);
-      real w = bodies.omega(i);
-      bodies.set_velocity(i, velocity[i]);
-      bodies.set_omega(i, omega[i]);
-      velocity[i] = v;
-      omega[i] = w;
-    }
-  }
-
-  // `carried`: J, what moving surfaces have done to what bounced, which is theirs to give. Returns the share of what
-  // bounces changed that is left.
-  KFN real limit(Bodies& bodies, Vec2 gravity, real h, real carried) const {
-    // With a share s of the change: before + linear s + quadratic s^2, of which the surfaces give their share.
-    real before = real(0), linear = real(0), quadratic = real(0);
-    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
-      int i = each.shape;
-      real mass = Math::inverse_or_zero(bodies.inverse_mass(i));
       real inertia = Math::inverse_or_zero(bodies.inverse_inertia(i));
-      Vec2 v = midway(bodies, i, velocity[i], gravity, h), dv = bodies.velocity(i) - velocity[i];
-      real dw = bodies.omega(i) - omega[i];
-      before += real(0.5) * (mass * v.dot(v) + inertia * omega[i] * omega[i]) - mass * gravity.dot(bodies.delta(i));
-      linear += mass * v.dot(dv) + inertia * omega[i] * dw;
+      max_energy[islands.first[i]] += real(0.5) * (bodies.mass(i) * v.dot(v) + inertia * bodies.omega(i) * bodies.omega(i));
+    }
+  }
+
+  // Of motors, springs, thrusters and forces on `which` in this sub-step.
+  KFN void add_work(const Bodies& bodies, const Joints& joints, const Thrusters& thrusters, const Column& controls,
+                    const Islands& islands, const unsigned int* which, real h) {
+    for (int k = 0; k < joints.count && HAS_MOTORS; ++k)
+      add_work(which, islands.of(bodies, joints.list[k].a, joints.list[k].b), joints.motor_work(bodies, k));
+    for (int k = 0; k < joints.springs.count; ++k)
+      add_work(which, islands.of(bodies, joints.springs.a_of(k), joints.springs.b_of(k)), joints.springs.work(bodies, k));
+    for (int k = 0; k < thrusters.count; ++k) add_work(which, islands.first[thrusters.body[k]], thrusters.work(bodies, k, h));
+    for (Bodies::Each each = Bodies::Each::of(which); HAS_EXTERNAL_FORCES && each.next();)
+      add_work(which, islands.first[each.shape], ExternalForces::work(bodies, each.shape, controls, h));
+  }
+
+  KFN void add_work(const unsigned int* which, int island, real work) {
+    if (Bodies::has(which, island)) max_energy[island] += work;
+  }
+
+  // Where what was hit touches something that is hit next. `bouncing`: bodies of islands.
+  KFN void pass_impacts_on(Bodies& bodies, Velocities& at_detection, Contacts& contacts, const Islands& islands,
+                           const unsigned int* bouncing) {
+    unsigned int passed[SHAPE_WORDS], island[SHAPE_WORDS];
+    if (!contacts.find_passed_on(bodies, bouncing, passed)) return;
+    islands.complete(bodies, passed);
+    at_detection.swap(bodies, passed);
+    for (Bodies::Each each = Bodies::Each::of(passed); each.next();) {
+      if (islands.first[each.shape] != each.shape) continue;
+      islands.list(bodies, each.shape, island);
+      contacts.propagate_impacts(bodies, island);
+    }
+    at_detection.swap(bodies, passed);
+  }
+
+  // Of islands of `bouncing` in which something does; false: none.
+  KFN bool begin_rounds(const Bodies& bodies, Contacts& contacts, const Islands& islands, const unsigned int* bouncing,
+                        bool is_last) {
+    if (!contacts.find_bouncing(bodies, bouncing, contacts.active.now)) return false;
+    islands.complete(bodies, contacts.active.now);
+    contacts.active.is_restricted = true;
+    for (int word = 0; word < SHAPE_WORDS; ++word) {
+      contacts.unsettled[word] = friction_applied[word] = 0u;
+      contacts.with_friction[word] = is_last ? contacts.active.now[word] : 0u;
+    }
+    return true;
+  }
+
+  // An island whose bounces have their speed gets friction in the next round, and is done where they still have it after
+  // that. `is_last`: the next one is. False: all are done.
+  KFN bool end_round(const Bodies& bodies, Contacts& contacts, const Islands& islands, bool is_last) {
+    islands.complete(bodies, contacts.unsettled);
+    bool any = false;
+    for (int word = 0; word < SHAPE_WORDS; ++word) {
+      unsigned int& going = contacts.active.now[word];
+      unsigned int settled = ~contacts.unsettled[word];
+      going &= ~(settled & friction_applied[word]);
+      friction_applied[word] |= contacts.with_friction[word];
+      contacts.with_friction[word] = going & ~friction_applied[word] & (is_last ? ~0u : settled);
+      contacts.unsettled[word] = 0u;
+      any |= going != 0u;
+    }
+    return any;
+  }
+
+  // Of islands of `bouncing`. `share`, at each island's first body: J that moving surfaces have done to what bounced,
+  // negative, which is theirs to give; then the share of what bounces changed that is left.
+  KFN void limit(Bodies& bodies, const Velocities& unbounced, const Contacts& contacts, const Islands& islands,
+                 const unsigned int* bouncing, Vec2 gravity, real h, real* share) const {
+    unsigned int bounced[SHAPE_WORDS], island[SHAPE_WORDS];
+    contacts.find_bouncing(bodies, bouncing, bounced);
+    islands.complete(bodies, bounced);
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+      int i = each.shape;
+      if (islands.first[i] != i || !Bodies::has(bounced, i)) continue;
+      islands.list(bodies, i, island);
+      share[i] = limit_island(bodies, unbounced, island, max_energy[i], gravity, h, share[i]);
+    }
+  }
+
+  KFN real limit_island(Bodies& bodies, const Velocities& unbounced, const unsigned int* island, real max_energy, Vec2 gravity,
+                        real h, real linear) const {
+    // With a share s of the change: before + linear s + quadratic s^2, of which the surfaces give their share.
+    real before = real(0), quadratic = real(0);
+    for (Bodies::Each each = Bodies::Each::of(island); each.next();) {
+      int i = each.shape;
+      real mass = bodies.mass(i);
+      real inertia = Math::inverse_or_zero(bodies.inverse_inertia(i));
+      Vec2 was = unbounced.velocity[i], v = midway(bodies, i, was, gravity, h), dv = bodies.velocity(i) - was;
+      real w = unbounced.omega[i], dw = bodies.omega(i) - w;
+      before += real(0.5) * (mass * v.dot(v) + inertia * w * w) - mass * gravity.dot(bodies.delta(i));
+      linear += mass * v.dot(dv) + inertia * w * dw;
       quadratic += real(0.5) * (mass * dv.dot(dv) + inertia * dw * dw);
     }
-    linear -= carried;
     real after = before + linear + quadratic;
-    if (after <= max_energy * (real(1) + ENERGY_ROUNDING)) return real(1);
+    if (after <= max_energy + ENERGY_ROUNDING * quadratic) return real(1);
     real energy_left = Math::max(max_energy - before, real(0));
     real root = sqrtf(linear * linear + real(4) * quadratic * energy_left);
     real share = quadratic > real(0) ? Math::clamp((root - linear) / (real(2) * quadratic), real(0), real(1)) : real(1);
-    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
+    for (Bodies::Each each = Bodies::Each::of(island); each.next();) {
       int i = each.shape;
-      bodies.set_velocity(i, velocity[i] + (bodies.velocity(i) - velocity[i]) * share);
-      bodies.set_omega(i, omega[i] + (bodies.omega(i) - omega[i]) * share);
+      Vec2 v = unbounced.velocity[i];
+      real w = unbounced.omega[i];
+      bodies.set_velocity(i, v + (bodies.velocity(i) - v) * share);
+      bodies.set_omega(i, w + (bodies.omega(i) - w) * share);
     }
     return share;
   }

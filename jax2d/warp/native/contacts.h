@@ -27,23 +27,31 @@ struct Contacts {
   Surfaces surfaces;
   int count, overflow;
   Pairs pairs;
-  bool each_substep;  // what is found does not hold for the whole step: something turns too far or hits too hard
+  ARRAY(unsigned int, unsteady, SHAPE_WORDS);  // bodies whose contacts do not hold for the step: they turn too far or hit too hard
+  ARRAY(unsigned int, exceeding, SHAPE_WORDS);  // bodies so much faster than predicted that they may outrun their contacts
   bool may_bounce;  // something approaches fast enough
-  bool any_exceeds;     // a body moves so much faster than predicted that it may outrun its contacts
-  bool converged;     // in the last pass every bounce had its speed
+  ARRAY(unsigned int, unsettled, SHAPE_WORDS);  // bodies of bounces that had not their speed in the last pass
+  ARRAY(unsigned int, with_friction, SHAPE_WORDS);  // bodies whose bounces get friction in this pass
   ActiveSet active;
 
   KFN static int key_of(int slot_a, int slot_b, int feature) { return (slot_a << (FEATURE_BITS + SHAPE_BITS)) | (slot_b << FEATURE_BITS) | feature; }
 
-  // Looks at the pairs near each other in the order of slots, so that keys ascend and old impulses are found by one
+  // Looks at the pairs near each other in the order of slots, so that pairs ascend and old impulses are found by one
   // walk over the old list. `reach` is the distance at which a contact is prepared; `is_start`: nothing has acted yet in
-  // this sub-step.
+  // this sub-step. Unless `all`, only contacts of `found` are, with each other and what is fixed; others stay.
   KFN void find(const Bodies& bodies, const Geometry& geometry, const Column& scene, const IntColumn& ints,
                 const Column& params, const IntColumn& old_keys, const Column& old_impulses, real reach, real dt,
-                bool ahead, bool is_start) {
-    count = 0;
+                bool ahead, bool is_start, bool all, const unsigned int* found) {
+    int kept = 0;
+    for (int k = 0; k < count && !all; ++k)
+      if (!is_of(list[k], found)) move(k, kept++);
+    count = kept;
     overflow = 0;
-    each_substep = may_bounce = any_exceeds = false;
+    if (all) {
+      may_bounce = false;
+      Bodies::clear(unsteady);
+    }
+    for (int word = 0; word < SHAPE_WORDS; ++word) exceeding[word] = all ? 0u : exceeding[word] & ~found[word];
     real threshold = params.get(PARAM_RESTITUTION_THRESHOLD);
     if (NUM_CONTACTS == 0) return;
     ahead = ahead && HAS_CONTINUOUS_COLLISION;
@@ -53,11 +61,13 @@ struct Contacts {
     int old_slot = 0, slot_b;
     while ((slot_b = walk.next_slot(pairs)) >= 0) {
       int a = walk.a, b = Slot::shape(slot_b), slot_a = Slot::of(a);
-      Vec2 d = bodies.position[b] - bodies.position[a];
-      real margin = Pairs::margin(geometry, a, b, reach, ahead);
-      Manifold m = geometry.collide(a, b, d, bodies.velocity(b) - bodies.velocity(a), bodies.omega(a), margin);
+      if (!all && !is_found(bodies, found, a, b)) continue;
+      Vec2 d = bodies.position[b] - bodies.position[a], motion = bodies.velocity(b) - bodies.velocity(a);
+      real speed = motion.length(), margin = Pairs::margin(geometry, a, b, speed, reach, ahead);
+      if (!geometry.bounds_overlap(a, b, d, margin)) continue;
+      Manifold m = geometry.collide(a, b, d, motion, bodies.omega(a), margin);
       if (m.count == 0) continue;
-      if (ahead) each_substep |= rotates_too_far(bodies, geometry, a, b, reach, dt) || rotates_too_far(bodies, geometry, b, a, reach, dt);
+      bool is_unsteady = ahead && rotates_too_far(bodies, geometry, a, b, motion, reach, dt);
       real friction = real(0), restitution = real(0);
       if (HAS_FRICTION)
         friction = mix_friction(scene.get(SCENE_SHAPES_FRICTION + slot_a), scene.get(SCENE_SHAPES_FRICTION + slot_b), params);
@@ -115,40 +125,88 @@ struct Contacts {
         c.is_second = SOFT_STEP && p > 0 && count > 1 && list[count - 2].key >> FEATURE_BITS == pair_key >> FEATURE_BITS;
         if (c.is_second) c.is_impact = list[count - 2].is_impact = c.is_impact || list[count - 2].is_impact;
         if (SOFT_STEP) may_bounce |= hits(c, threshold);
-        if (ahead) each_substep |= hits_hard(geometry, c, reach, dt) || bounces_aside(bodies, c, d, threshold, dt);
+        if (ahead) is_unsteady |= hits_hard(geometry, c, reach, dt) || bounces_aside(bodies, c, d, threshold, dt);
       }
+      if (is_unsteady) bodies.add_moving(unsteady, a, b);
+    }
+    if (kept > 0) sort(kept);
+  }
+
+  // Puts contacts from the first one that was found among those that were kept, by their pairs.
+  KFN void sort(int first) {
+    for (int k = first; k < count; ++k) {
+      int to = k;
+      move(k, NUM_CONTACTS);
+      for (; to > 0 && list[to - 1].key >> FEATURE_BITS > list[NUM_CONTACTS].key >> FEATURE_BITS; --to) move(to - 1, to);
+      move(NUM_CONTACTS, to);
     }
   }
 
-  // Whether two bodies that move on as they do for the `left` seconds of the step could meet without a contact, since
-  // they go farther than was predicted: every margin has `reach` to spare.
-  KFN bool outruns_contacts(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, real left) {
+  KFN static bool is_found(const Bodies& bodies, const unsigned int* found, int a, int b) {
+    bool of_a = Bodies::has(found, a), of_b = Bodies::has(found, b);
+    return (of_a || of_b) && (of_a || !bodies.moves(a)) && (of_b || !bodies.moves(b));
+  }
+
+  KFN void move(int from, int to) {
+    list[to] = list[from];
+    surfaces.move(from, to);
+  }
+
+  // Which contacts hold until when, and of whom.
+  struct Found {
+    const unsigned int* last;     // bodies whose contacts were found last, with each other's
+    const unsigned int* every;    // those whose contacts are found in each sub-step
+    const unsigned int* brief;    // those whose contacts have been, for one
+    const unsigned int* waiting;  // those that have not moved yet in this sub-step
+  };
+
+  // Marks bodies that could meet without a contact, since they move on farther than was predicted from velocities
+  // `before`: every margin has `reach` to spare. Where contacts of the two were not found together, those that could meet
+  // in this sub-step. step, left, h: seconds of the step, of what is left of it, and of the sub-step.
+  KFN bool outruns_contacts(const Bodies& bodies, const Geometry& geometry, const Velocities& before, const IntColumn& ints,
+                            real reach, real step, real left, real h, const Found& found, unsigned int* outrunning) {
+    Bodies::clear(outrunning);
     if (!HAS_CONTINUOUS_COLLISION || NUM_CONTACTS == 0) return false;
-    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();)
-      any_exceeds |= geometry.exceeds_prediction(bodies, each.shape, reach);
-    if (!any_exceeds) return false;
-    real travel[NUM_SHAPES], farthest = real(0), second = real(0);
-    unsigned int far_shapes[SHAPE_WORDS];  // one body of such a pair goes at least half of `reach` farther
-    Bodies::clear(far_shapes);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
-      travel[i] = geometry.travel(bodies, i, left);
-      real farther = travel[i] - geometry.predicted_travel[i];
-      if (farther > real(0.5) * reach) Bodies::add(far_shapes, i);
-      second = Math::max(second, Math::min(farther, farthest));
-      farthest = Math::max(farthest, farther);
+      real ahead = Bodies::has(found.brief, i) ? h : step;
+      if (geometry.exceeds_prediction(bodies, i, before.velocity[i], reach, ahead)) Bodies::add(exceeding, i);
     }
-    if (farthest + second <= reach) return false;
-    for (Bodies::Each one = Bodies::Each::of(far_shapes); one.next();) {
-      for (Bodies::Each other = Bodies::Each::of(bodies.present); other.next();) {
-        int a = Math::min_int(one.shape, other.shape), b = Math::max_int(one.shape, other.shape);
-        real both = (bodies.moves(a) ? travel[a] : real(0)) + (bodies.moves(b) ? travel[b] : real(0));
-        if (both - geometry.predicted_travel[a] - geometry.predicted_travel[b] <= reach) continue;
+    bool is_part = false;
+    for (int word = 0; word < SHAPE_WORDS; ++word) is_part |= (bodies.moving[word] & ~found.last[word]) != 0u;
+    is_part = is_part && Bodies::any(found.last);
+    if (!is_part && !Bodies::any(exceeding)) return false;
+    unsigned int looks[SHAPE_WORDS];
+    for (int word = 0; word < SHAPE_WORDS; ++word) looks[word] = exceeding[word] | (is_part ? found.last[word] : 0u);
+    bool any = false;
+    for (Bodies::Each one = Bodies::Each::of(looks); one.next();) {
+      int i = one.shape;
+      Vec2 gone = bodies.delta(i), motion = bodies.velocity(i), was = before.velocity[i];
+      bool waits = Bodies::has(found.waiting, i), is_brief = Bodies::has(found.every, i);
+      real ahead = Bodies::has(found.brief, i) ? h : step, moved = waits ? real(0) : h, until = (is_brief ? h : left) - moved;
+      real alone = gone.length() + motion.length() * until + geometry.current_swing(bodies, i, until) -
+                   was.length() * ahead - geometry.swing[i];
+      // What is fixed it meets only if it goes farther itself.
+      for (Bodies::Each other = Bodies::Each::of(alone > reach ? bodies.present : bodies.moving); other.next();) {
+        int j = other.shape, a = Math::min_int(i, j), b = Math::max_int(i, j);
+        bool both_move = bodies.moves(j), other_waits = both_move && Bodies::has(found.waiting, j);
+        if (i == j || (!waits && !other_waits) || !can_touch(ints, a, b)) continue;
+        bool together = !both_move || Bodies::has(found.last, i) == Bodies::has(found.last, j);
+        bool is_soon = !together || is_brief || (both_move && Bodies::has(found.every, j));
+        real end = is_soon ? h : left, own = end - moved, others = both_move && !other_waits ? end - h : end;
+        Vec2 way = ((bodies.velocity(j) - motion) * others).plus(motion, others - own);
+        real travel = (bodies.delta(j) - gone).length() + way.length() + geometry.current_swing(bodies, i, own) +
+                      geometry.current_swing(bodies, j, others);
+        real predicted = (before.velocity[j] - was).length() * ahead + geometry.swing[i] + geometry.swing[j];
+        if (together && travel - predicted <= reach) continue;
         Vec2 d = bodies.position[b] - bodies.position[a];
-        if (geometry.bounds_overlap(a, b, d, both) && can_touch(ints, a, b) && !has_contact(a, b)) return true;
+        if (geometry.bounding_distance(a, b, d) > travel || has_contact(a, b)) continue;
+        if (geometry.least_distance(a, b, d) > travel) continue;
+        bodies.add_moving(outrunning, a, b);
+        any = true;
       }
     }
-    return false;
+    return any;
   }
 
   KFN static bool can_touch(const IntColumn& ints, int a, int b) {
@@ -165,9 +223,10 @@ struct Contacts {
 
   // Contact points and normals of a step hold for small turns only: a rod that spins fast sweeps over what they say.
   // So does a bar along which something fast goes meanwhile.
-  KFN static bool rotates_too_far(const Bodies& bodies, const Geometry& geometry, int i, int other, real reach, real dt) {
-    real turn = Math::abs(bodies.omega(i)) * dt, arm = geometry.extent[i] - geometry.core[i];
-    return arm > real(0) && (arm * turn + geometry.predicted_travel[other]) * turn > reach;
+  KFN static bool rotates_too_far(const Bodies& bodies, const Geometry& geometry, int a, int b, Vec2 motion, real reach, real dt) {
+    real turn_a = geometry.arm(a) > real(0) ? Math::abs(bodies.omega(a)) : real(0);
+    real turn_b = geometry.arm(b) > real(0) ? Math::abs(bodies.omega(b)) : real(0);
+    return geometry.predicted_travel(a, b, motion.length()) * Math::max(turn_a, turn_b) * dt > reach;
   }
 
   // What hits so fast that it would go through the thinner of the two in what is left of the step moves on in ways that
@@ -243,13 +302,7 @@ struct Contacts {
     return is_a ? Arms{arm, c.arm_b} : Arms{c.arm_a, arm};
   }
 
-  // J, what moving surfaces have done to the bodies in this sub-step of h.
-  KFN real surface_work(const Bodies& bodies, real h) const {
-    real work = real(0);
-    for (int i = 0; i < count && HAS_KINEMATIC_BODIES + HAS_SURFACE_SPEED > 0; ++i) work += surface_work(bodies, i, h);
-    return work;
-  }
-
+  // J, what the moving surface of contact i has done to the bodies in this sub-step of h.
   KFN real surface_work(const Bodies& bodies, int i, real h) const {
     const Contact& c = list[i];
     real work = real(0);
@@ -313,10 +366,8 @@ struct Contacts {
   }
 
   // One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes
-  // back the velocity that the push added, and applies friction. In later rounds of it what bounces leaves, with friction
-  // in one of them.
-  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int round, bool with_friction) {
-    converged = true;
+  // back the velocity that the push added, and applies friction. In later rounds of it what bounces leaves.
+  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
     for (int i = 0; i < count; ++i) {
@@ -334,7 +385,7 @@ struct Contacts {
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
       if (HAS_RESTITUTION && round > 0 && c.b >= NUM_POLYGONS && c.is_impact) {
         // The impact went through here.
-      } else if (separation > real(0)) {
+      } else if (separation > TOUCHING_DISTANCE) {
         bias = separation * soft.inverse_h;  // speculative: may close the gap, not more
       } else if (use_bias) {
         Softness of = Softness::either(c.against_fixed, soft.fixed, soft.contact);
@@ -353,13 +404,15 @@ struct Contacts {
       }
       if (bounces) {
         bias = -c.bounce;
-        converged &= update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
+        bool is_settled = update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
+        if (!is_settled) bodies.add_dynamic(unsettled, c.a, c.b);
         mass = c.mass_normal;
       }
-      if (SHARES_IMPACTS && active.again) c.is_impact = true;
+      bool shares = active.shares(c.a, c.b);
+      if (shares) c.is_impact = true;
       if (c.is_impact && round == 0) {
         real change = solve_block(pair, c, arms, bias, surfaces.speed_of(i));
-        if (change > (active.again ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
+        if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
         pair.write_back(bodies);
@@ -379,7 +432,7 @@ struct Contacts {
       c.impulse_normal = total;
       c.max_impulse = Math::max(c.max_impulse, total);
       pair.apply_impulse(arms.a, arms.b, c.normal * impulse);
-      if (!use_bias && (with_friction || !bounces)) {
+      if (!use_bias && (!bounces || is_of(c, with_friction))) {
         solve_friction(pair, c, arms, mass_tangent, surfaces.speed_of(i));
         surfaces.solve_rolling(pair, i, c.impulse_normal);
       }
@@ -445,14 +498,18 @@ struct Contacts {
     return c.restitution > real(0) && c.approach <= -threshold;
   }
 
-  // Restitution, after all sub-steps: what hit gets the speed at which it must leave. True if anything bounces.
-  KFN bool begin_bounces(const Bodies& bodies, const Column& params, Vec2 gravity, real h) {
+  // Restitution, where contacts of `ends` end: what hit gets the speed at which it must leave. Marks its bodies; False if
+  // nothing bounces.
+  KFN bool begin_bounces(const Bodies& bodies, const Column& params, Vec2 gravity, real h, const unsigned int* ends,
+                         unsigned int* bouncing) {
     real threshold = params.get(PARAM_RESTITUTION_THRESHOLD);
+    Bodies::clear(bouncing);
     bool any = false;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
-      if (!hits(c, threshold) || c.max_impulse == real(0)) continue;
+      if (!hits(c, threshold) || c.max_impulse == real(0) || !is_of(c, ends)) continue;
       c.bounce = c.restitution * impact_speed(bodies, c, gravity, h);
+      bodies.add_dynamic(bouncing, c.a, c.b);
       any = true;
     }
     return any;
@@ -461,26 +518,29 @@ struct Contacts {
   // Bodies that meet in one point pass an impact on; what else is solved together bounces as if it were one.
   KFN static bool passes_on(const Contact& c) { return c.b >= NUM_POLYGONS && c.max_impulse > real(0); }
 
-  // Whether what was hit touches something that is hit next.
-  KFN bool passes_impacts_on() const {
+  // Of bodies of `bouncing` those of what was hit and touches something that is hit next.
+  KFN bool find_passed_on(const Bodies& bodies, const unsigned int* bouncing, unsigned int* passed) const {
     unsigned int hit[SHAPE_WORDS];
     Bodies::clear(hit);
+    Bodies::clear(passed);
     for (int i = 0; i < count; ++i) {
-      if (!passes_on(list[i]) || list[i].bounce <= real(0)) continue;
-      Bodies::add(hit, list[i].a);
-      Bodies::add(hit, list[i].b);
+      const Contact& c = list[i];
+      if (passes_on(c) && c.bounce > real(0) && is_of(c, bouncing)) bodies.add_dynamic(hit, c.a, c.b);
     }
+    bool any = false;
     for (int i = 0; i < count; ++i) {
       const Contact& c = list[i];
       if (!passes_on(c) || c.against_fixed || c.bounce > real(0) || c.restitution == real(0)) continue;
-      if (Bodies::has(hit, c.a) || Bodies::has(hit, c.b)) return true;
+      if (!Bodies::has(hit, c.a) && !Bodies::has(hit, c.b)) continue;
+      bodies.add_dynamic(passed, c.a, c.b);
+      any = true;
     }
-    return false;
+    return any;
   }
 
-  // Impact after impact, the fastest first, from the velocities with which bodies came, which it changes: what that
-  // leaves of a contact's speed is what its bounce aims at. True if anything bounces still.
-  KFN bool propagate_impacts(Bodies& bodies) {
+  // In one island, impact after impact, the fastest first, from the velocities with which bodies came, which it changes:
+  // what that leaves of a contact's speed is what its bounce aims at.
+  KFN void propagate_impacts(Bodies& bodies, const unsigned int* island) {
     unsigned int once[SHAPE_WORDS], again[SHAPE_WORDS];
     Bodies::clear(once);
     Bodies::clear(again);
@@ -489,7 +549,7 @@ struct Contacts {
       int next = -1;
       real speed = SETTLED_SPEED;
       for (int i = 0; i < count; ++i) {
-        real closing = passes_on(list[i]) ? -normal_speed(bodies, list[i]) : real(0);
+        real closing = passes_on(list[i]) && is_of(list[i], island) ? -normal_speed(bodies, list[i]) : real(0);
         if (closing <= speed) continue;
         speed = closing;
         next = i;
@@ -507,16 +567,28 @@ struct Contacts {
         Bodies::add(once, body);
       }
     }
-    bool any = false;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       bool took_part = (bodies.is_dynamic(c.a) && Bodies::has(again, c.a)) || (bodies.is_dynamic(c.b) && Bodies::has(again, c.b));
-      if (passes_on(c) && took_part) {
-        real speed = normal_speed(bodies, c);
-        c.bounce = speed > SETTLED_SPEED ? factor * speed : real(0);
-        c.is_impact = true;  // its impulse does not last
-      }
-      any |= c.bounce > real(0);
+      if (!passes_on(c) || !took_part) continue;
+      real speed = normal_speed(bodies, c);
+      c.bounce = speed > SETTLED_SPEED ? factor * speed : real(0);
+      c.is_impact = true;  // its impulse does not last
+    }
+  }
+
+  KFN static bool is_of(const Contact& c, const unsigned int* bodies) {
+    return Bodies::has(bodies, c.a) || Bodies::has(bodies, c.b);
+  }
+
+  // Of bodies of `hit` those of what bounces.
+  KFN bool find_bouncing(const Bodies& bodies, const unsigned int* hit, unsigned int* bouncing) const {
+    Bodies::clear(bouncing);
+    bool any = false;
+    for (int i = 0; i < count; ++i) {
+      if (list[i].bounce <= real(0) || !is_of(list[i], hit)) continue;
+      bodies.add_dynamic(bouncing, list[i].a, list[i].b);
+      any = true;
     }
     return any;
   }
@@ -554,6 +626,16 @@ struct Contacts {
       pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
       solve_friction(pair, c, {c.arm_a, c.arm_b}, c.mass_tangent, real(0));
       pair.write_back(bodies);
+    }
+  }
+
+  // Impulses of contacts of `which` as they were last stored.
+  KFN void load_impulses(const Column& impulses, const unsigned int* which) {
+    for (int k = 0; k < count; ++k) {
+      if (!is_of(list[k], which)) continue;
+      list[k].impulse_normal = impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * k);
+      list[k].impulse_tangent = impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * k + 1);
+      surfaces.load_impulse(k, impulses, k);
     }
   }
 

@@ -28,16 +28,12 @@ struct Thrusters {
     }
   }
 
-  // J, what they have added to the bodies' energy in `dt`.
-  KFN real work(const Bodies& bodies, real dt) const {
-    real sum = real(0);
-    for (int k = 0; k < count; ++k) {
-      int i = body[k];
-      Rotation q = bodies.rotation[i];
-      Vec2 at = bodies.velocity(i) + q.apply(local_position[k]).left() * bodies.omega(i);
-      sum += Math::max(q.apply(local_force[k]).dot(at) * dt, real(0));
-    }
-    return sum;
+  // J, what thruster k has added to its body's energy in `dt`.
+  KFN real work(const Bodies& bodies, int k, real dt) const {
+    int i = body[k];
+    Rotation q = bodies.rotation[i];
+    Vec2 at = bodies.velocity(i) + q.apply(local_position[k]).left() * bodies.omega(i);
+    return Math::max(q.apply(local_force[k]).dot(at) * dt, real(0));
   }
 };
 
@@ -52,16 +48,10 @@ struct ExternalForces {
     }
   }
 
-  // J, what they have added to the bodies' energy in `dt`.
-  KFN static real work(const Bodies& bodies, const Column& controls, real dt) {
-    real sum = real(0);
-    if (!HAS_EXTERNAL_FORCES) return sum;
-    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
-      int i = each.shape, slot = Slot::of(i);
-      if (!bodies.is_dynamic(i)) continue;
-      real push = controls.get2(CONTROLS_FORCE + 2 * slot).dot(bodies.velocity(i));
-      sum += Math::max((push + controls.get(CONTROLS_TORQUE + slot) * bodies.omega(i)) * dt, real(0));
-    }
-    return sum;
+  // J, what they have added to the energy of body i in `dt`.
+  KFN static real work(const Bodies& bodies, int i, const Column& controls, real dt) {
+    int slot = Slot::of(i);
+    real push = controls.get2(CONTROLS_FORCE + 2 * slot).dot(bodies.velocity(i));
+    return Math::max((push + controls.get(CONTROLS_TORQUE + slot) * bodies.omega(i)) * dt, real(0));
   }
 };

@@ -1,17 +1,18 @@
 // Islands: bodies that contacts, joints and springs join, directly or by others that can be pushed.
 // What holds takes energy from an island, or none. Where one has more kinetic energy once it is relaxed than the sub-step
 // began with, when forces had acted and nothing had been solved, impulses are not solved yet, or warm-start impulses from
-// another place of the bodies are far off; bodies that jam, and arms at their limits, do that. It is solved again, alone.
+// another place of the bodies are far off; bodies that jam do that. It is solved again, alone.
 
 struct Islands {
   ARRAY(int, first, ISLAND_SHAPES);        // the first body of the island of each
-  ARRAY(real, max_energy, ISLAND_SHAPES);  // J, what may be left to each beside the work of motors, springs and what carries
-  ARRAY(real, gain, ISLAND_SHAPES);        // J, what an island has beyond that, at its first body
+  ARRAY(Vec2, drift, ISLAND_SHAPES);       // m/s, of an island that nothing fixed holds: of its centre of mass when it was found
+  ARRAY(real, gain, ISLAND_SHAPES);        // J, what an island has gained, at its first body
   ARRAY(Vec2, velocity, ISLAND_SHAPES);    // of each, when forces had acted and nothing had been solved
   ARRAY(real, omega, ISLAND_SHAPES);
   ARRAY(unsigned int, anchored, SHAPE_WORDS);  // a bit an island, at its first body: it is held by what cannot be pushed
 
-  KFN void find(const Bodies& bodies, const Contacts& contacts, const Joints& joints) {
+  // Contacts of `which` have been found.
+  KFN void find(const Bodies& bodies, const Contacts& contacts, const Joints& joints, const unsigned int* which) {
     for (int i = 0; i < ISLAND_SHAPES; ++i) first[i] = i;
     for (int k = 0; k < contacts.count; ++k) join(bodies, contacts.list[k].a, contacts.list[k].b);
     for (int k = 0; k < joints.count; ++k) join(bodies, joints.list[k].a, joints.list[k].b);
@@ -21,14 +22,39 @@ struct Islands {
     for (int k = 0; k < contacts.count; ++k) anchor(bodies, contacts.list[k].a, contacts.list[k].b);
     for (int k = 0; k < joints.count; ++k) anchor(bodies, joints.list[k].a, joints.list[k].b);
     for (int k = 0; k < joints.springs.count; ++k) anchor(bodies, joints.springs.a_of(k), joints.springs.b_of(k));
+    find_drift(bodies, which);
+  }
+
+  // Islands that nothing fixed holds are as free to move as any: what they gain or may have is not to depend on that.
+  KFN void find_drift(const Bodies& bodies, const unsigned int* which) {
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
+      drift[each.shape] = {real(0), real(0)};
+      gain[each.shape] = real(0);  // kg, here
+    }
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
+      int i = each.shape, island = first[i];
+      if (Bodies::has(anchored, island)) continue;
+      drift[island] = drift[island].plus(bodies.velocity(i), bodies.mass(i));
+      gain[island] += bodies.mass(i);
+    }
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
+      int i = each.shape;
+      if (gain[i] > real(0)) drift[i] = drift[i] * Fast::reciprocal(gain[i]);
+    }
+  }
+
+  // J, of body i in its island.
+  KFN real kinetic_energy(const Bodies& bodies, int i, Vec2 v, real w) const {
+    return bodies.kinetic_energy(i, v - drift[first[i]], w);
   }
 
   KFN void anchor(const Bodies& bodies, int a, int b) {
     if (!bodies.is_dynamic(a) || !bodies.is_dynamic(b)) Bodies::add(anchored, of(bodies, a, b));
   }
 
-  // Resets all impulses on bodies of `which`, in islands. What is anchored gets the velocities that the sub-step began
-  // with. Elsewhere that would change angular momentum, since bodies have moved: impulses are taken back where they are.
+  // Resets impulses of contacts and springs on bodies of `which`, in islands. What is anchored gets the velocities that the
+  // sub-step began with, and what its motors gave. Elsewhere that would change angular momentum, since bodies have moved:
+  // impulses are taken back where they are.
   KFN void reset_impulses(Bodies& bodies, Contacts& contacts, Joints& joints, const unsigned int* which) const {
     for (int k = 0; k < contacts.count; ++k) {
       int a = contacts.list[k].a, b = contacts.list[k].b;
@@ -37,14 +63,6 @@ struct Islands {
       contacts.apply_impulses(bodies, pair, k);
       pair.write_back(bodies);
       contacts.reset_impulses(k);
-    }
-    for (int k = 0; k < joints.count; ++k) {
-      int a = joints.list[k].a, b = joints.list[k].b;
-      if (!Bodies::has(which, bodies.is_dynamic(a) ? a : b)) continue;
-      Pair pair = Pair::reversed(bodies, a, b);
-      joints.apply_impulses(bodies, pair, k);
-      pair.write_back(bodies);
-      joints.reset_impulses(k);
     }
     for (int k = 0; k < joints.springs.count; ++k) {
       int a = joints.springs.a_of(k), b = joints.springs.b_of(k);
@@ -60,6 +78,48 @@ struct Islands {
       bodies.set_velocity(i, velocity[i]);
       bodies.set_omega(i, omega[i]);
     }
+    for (int k = 0; k < joints.count; ++k) {
+      int a = joints.list[k].a, b = joints.list[k].b;
+      if (Bodies::has(which, bodies.is_dynamic(a) ? a : b) && Bodies::has(anchored, of(bodies, a, b)))
+        joints.leave_motor(bodies, k);
+    }
+  }
+
+  // Adds the other bodies of their islands to those of a set.
+  KFN void complete(const Bodies& bodies, unsigned int* set) const {
+    unsigned int chosen[SHAPE_WORDS];  // a bit an island, at its first body
+    Bodies::clear(chosen);
+    for (Bodies::Each each = Bodies::Each::of(set); each.next();) Bodies::add(chosen, first[each.shape]);
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();)
+      if (Bodies::has(chosen, first[each.shape])) Bodies::add(set, each.shape);
+  }
+
+  // Adds those whose contacts are found with theirs: the rest of their islands, kinematic bodies that these touch, and
+  // islands on those.
+  KFN void complete_groups(const Bodies& bodies, const Contacts& contacts, const Joints& joints, unsigned int* set) const {
+    for (bool grows = true; grows;) {
+      grows = false;
+      complete(bodies, set);
+      for (int k = 0; k < contacts.count && HAS_KINEMATIC_BODIES; ++k)
+        grows |= links(bodies, contacts.list[k].a, contacts.list[k].b, set);
+      for (int k = 0; k < joints.count && HAS_KINEMATIC_BODIES; ++k)
+        grows |= links(bodies, joints.list[k].a, joints.list[k].b, set);
+      for (int k = 0; k < joints.springs.count && HAS_KINEMATIC_BODIES; ++k)
+        grows |= links(bodies, joints.springs.a_of(k), joints.springs.b_of(k), set);
+    }
+  }
+
+  KFN static bool links(const Bodies& bodies, int a, int b, unsigned int* set) {
+    if (!bodies.moves(a) || !bodies.moves(b) || Bodies::has(set, a) == Bodies::has(set, b)) return false;
+    bodies.add_moving(set, a, b);
+    return true;
+  }
+
+  // The bodies of one.
+  KFN void list(const Bodies& bodies, int island, unsigned int* members) const {
+    Bodies::clear(members);
+    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();)
+      if (first[each.shape] == island) Bodies::add(members, each.shape);
   }
 
   KFN int first_of(int i) const {
@@ -78,13 +138,24 @@ struct Islands {
   KFN int of(const Bodies& bodies, int a, int b) const { return first[bodies.is_dynamic(a) ? a : b]; }
 
   // When forces have acted.
-  KFN void begin(const Bodies& bodies, real h) {
+  KFN void begin(const Bodies& bodies) {
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
       velocity[i] = bodies.velocity(i);
       omega[i] = bodies.omega(i);
-      max_energy[i] = bodies.kinetic_energy(i) * (real(1) + h * SLACK_RATE) + h * SLACK_POWER * bodies.mass(i);
     }
+  }
+
+  // Adds what moving surfaces and kinematic bodies have done in this sub-step to what `energy` has at each island's first
+  // body, J; `share` 1, or -1: takes it away.
+  KFN void add_carried_work(const Bodies& bodies, const Contacts& contacts, const Joints& joints, real h, real share,
+                            real* energy) const {
+    for (int k = 0; k < contacts.count && HAS_KINEMATIC_BODIES + HAS_SURFACE_SPEED > 0; ++k)
+      energy[of(bodies, contacts.list[k].a, contacts.list[k].b)] += share * contacts.surface_work(bodies, k, h);
+    for (int k = 0; k < joints.count && HAS_KINEMATIC_BODIES; ++k)
+      energy[of(bodies, joints.list[k].a, joints.list[k].b)] += share * joints.kinematic_work(bodies, k);
+    for (int k = 0; k < joints.springs.count && HAS_KINEMATIC_BODIES; ++k)
+      energy[of(bodies, joints.springs.a_of(k), joints.springs.b_of(k))] += share * joints.springs.kinematic_work(bodies, k);
   }
 
   // Marks the bodies of islands that have gained more than `spare` J/kg, of those marked where `again`. Returns whether
@@ -94,7 +165,9 @@ struct Islands {
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) gain[each.shape] = real(0);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
-      gain[first[i]] += bodies.kinetic_energy(i) - max_energy[i] - spare * bodies.mass(i);
+      real before = kinetic_energy(bodies, i, velocity[i], omega[i]) * (real(1) + h * SLACK_RATE);
+      real slack = (h * SLACK_POWER + spare) * bodies.mass(i);
+      gain[first[i]] += kinetic_energy(bodies, i, bodies.velocity(i), bodies.omega(i)) - before - slack;
     }
     bool any = false;
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
@@ -104,7 +177,7 @@ struct Islands {
       any |= gain[i] > real(0);
     }
     if (!any) return false;
-    unsigned int held[SHAPE_WORDS];  // a bit an island, at its first body: a contact or a limit of a joint holds it
+    unsigned int held[SHAPE_WORDS];  // a bit an island, at its first body: a contact holds it
     Bodies::clear(held);
     for (int k = 0; k < contacts.count; ++k) {
       int island = of(bodies, contacts.list[k].a, contacts.list[k].b);
@@ -113,7 +186,6 @@ struct Islands {
     }
     for (int k = 0; k < joints.count; ++k) {
       int island = of(bodies, joints.list[k].a, joints.list[k].b);
-      if (joints.is_at_limit(k)) Bodies::add(held, island);
       gain[island] -= joints.motor_work(bodies, k) + joints.kinematic_work(bodies, k);
     }
     for (int k = 0; k < joints.springs.count; ++k) {
@@ -129,7 +201,7 @@ struct Islands {
       Bodies::add(found, i);
       any = true;
     }
-    for (int word = 0; word < SHAPE_WORDS; ++word) gaining[word] = found[word];
+    Bodies::copy(gaining, found);
     return any;
   }
 };

@@ -6,7 +6,9 @@ struct Joint {
   unsigned int a : SHAPE_BITS, b : SHAPE_BITS;  // one word: a GPU waits for each that it loads
   int index, flags;
   Vec2 local_a, local_b;
-  Vec2 arm_a, arm_b;      // world orientation, since bodies last turned
+  Vec2 arm_a, arm_b;      // world orientation, as the bodies stand
+  Vec2 apart;             // anchor of b from anchor of a, as the bodies stand
+  Vec2 common_a, common_b;  // to the point where impulses act
   Vec2 centre_gap;        // centre of b from centre of a at the start of the step
   real start_angle;       // at the start of the step
   real axial_mass;
@@ -26,8 +28,6 @@ struct Joint {
   KFN bool is_prismatic() const {
     return HAS_PRISMATIC_JOINTS && ((!HAS_REVOLUTE_JOINTS && !HAS_FIXED_JOINTS) || kind_of(flags) == KIND_PRISMATIC);
   }
-  // One end is light, with more on its other side (softened_joints.py).
-  KFN bool is_softened() const { return (flags >> JOINTS_SOFTENED_SHIFT & 1) != 0; }
   KFN bool is_driven() const { return HAS_MOTORS && (flags & MOTOR_BIT) != 0; }
   KFN int drive() const { return HAS_BRAKES_AND_SERVOS ? flags >> JOINTS_DRIVE_SHIFT & JOINTS_DRIVE_MASK : DRIVE_VELOCITY; }
   KFN bool is_limited() const { return HAS_JOINT_LIMITS && (flags >> JOINTS_HAS_LIMITS_SHIFT & 1) != 0; }
@@ -49,58 +49,33 @@ struct Joint {
     return kind == KIND_FIXED ? HAS_FIXED_JOINTS : kind == KIND_PRISMATIC ? HAS_PRISMATIC_JOINTS : HAS_REVOLUTE_JOINTS;
   }
 
-  KFN void turn_arms(const Bodies& bodies) {
+  // A motor or limits may act along its axis.
+  KFN bool has_axial_row() const { return !is_fixed() && (is_driven() || is_limited()); }
+
+  // With rotations of both bodies as they stand. Impulses act on both at one point, or they would change what both have
+  // of angular momentum: of a slider at the anchor of b, of others in the middle of the gap; what is fixed takes any.
+  KFN void place(const Bodies& bodies) {
     arm_a = bodies.rotation[a].apply(local_a);
     arm_b = bodies.rotation[b].apply(local_b);
-  }
-
-  // Anchor of b from anchor of a, with arms as they are.
-  KFN Vec2 gap(const Bodies& bodies) const { return centre_gap + (bodies.delta(b) - bodies.delta(a)) + (arm_b - arm_a); }
-
-  // To the middle of the gap, where both bodies can move: an impulse at two points would change what both have of
-  // angular momentum.
-  KFN Arms common_arms(const Pair& pair, Vec2 gap) const {
-    bool is_fixed_a = pair.inverse_mass_a == real(0), is_fixed_b = pair.inverse_mass_b == real(0);
-    if (is_fixed_a || is_fixed_b) return {arm_a, arm_b};
-    return {arm_a.plus(gap, real(0.5)), arm_b.minus(gap, real(0.5))};
+    apart = centre_gap + (bodies.delta(b) - bodies.delta(a)) + (arm_b - arm_a);
+    bool both_move = bodies.inverse_mass(a) > real(0) && bodies.inverse_mass(b) > real(0);
+    real share = is_prismatic() ? real(1) : (both_move ? real(0.5) : real(0));
+    common_a = arm_a.plus(apart, share);
+    common_b = is_prismatic() ? arm_b : arm_b.minus(apart, share);
   }
 
   KFN real current_angle(const Bodies& bodies) const { return start_angle + bodies.turn(b) - bodies.turn(a); }
 
-  // In the relax pass a motor that is not at a limit has the last word, so that what holds the joint costs it no speed.
-  KFN bool is_motor_last(bool use_bias) const { return !use_bias && impulse_lower + impulse_upper == real(0); }
+  KFN real total_impulse() const { return angular_impulse + impulse_lower - impulse_upper; }
 
-  // Of a motor that shall bring `mass` from `speed` to its target: what it adds to its bounded impulse. dt changes neither
-  // its target nor its strength.
-  KFN real motor_impulse(real speed, real mass) {
-    real wanted = Fused::of(-mass, speed - motor_target, angular_impulse);
-    real total = Math::clamp(wanted, -max_motor_impulse, max_motor_impulse);
-    real added = total - angular_impulse;
-    angular_impulse = total;
-    return added;
-  }
+  // Of its rows.
+  KFN Vec3 held_impulse() const { return {impulse.x, impulse.y, is_fixed() ? angular_impulse : total_impulse()}; }
 
-  KFN real lower_impulse(real clearance, real speed, const Soft& soft, bool use_bias, real max_return_speed) {
-    return limit_impulse(clearance, speed, impulse_lower, soft, use_bias, max_return_speed);
-  }
-  KFN real upper_impulse(real clearance, real speed, const Soft& soft, bool use_bias, real max_return_speed) {
-    return limit_impulse(clearance, speed, impulse_upper, soft, use_bias, max_return_speed);
-  }
-
-  // One-sided: clearance is what is left before the limit, speed that at which clearance grows.
-  KFN real limit_impulse(real clearance, real speed, real& accumulated, const Soft& soft, bool use_bias,
-                         real max_return_speed) const {
-    real bias = real(0);
-    if (clearance > real(0)) {
-      bias = clearance * soft.inverse_h;
-    } else if (use_bias) {
-      // Not softened: a strong motor would lean into a limit that gives way.
-      bias = Math::max(soft.joint.bias_rate * clearance, -max_return_speed);
-    }
-    real impulse = -axial_mass * (speed + bias);
-    real total = Math::max(accumulated + impulse, real(0));
-    impulse = total - accumulated;
-    accumulated = total;
-    return impulse;
+  // `total` of a row along its axis: a limit's beyond what the motor gives.
+  KFN void set_axial(const AxialRow& row, real total) {
+    real motor = row.is_limit() ? row.pushing() : total;
+    angular_impulse = motor;
+    impulse_lower = Math::max(total - motor, real(0));
+    impulse_upper = Math::max(motor - total, real(0));
   }
 };

@@ -1,38 +1,67 @@
-// What connects bodies of one world: springs, and joints by motor, limits, the relative angle of fixed joints, and the
-// common point.
+// What connects bodies of one world: springs, and joints by what they hold, motors and limits.
 //
-// Body b is held to body a. Angles are angle_b - angle_a - rest angle. Soft joints follow the soft-step
-// solver, hard joints the appendix of the Kinetix paper; see docs/engine.md.
+// Body b is held to body a. Angles are angle_b - angle_a - rest angle. A hinge holds a common point, a weld the angle as
+// well; a slider (Box2D's b2PrismaticJoint) holds b's anchor on an axis of a, and the angle. Joints are solved as one linear
+// system (joint_system.h). Hard joints follow the appendix of the Kinetix paper (paper.h).
 
 struct Joints {
   ARRAY(Joint, list, NUM_JOINTS + 1);
   ARRAY(Vec2, local_axis, HAS_PRISMATIC_JOINTS ? NUM_JOINTS + 1 : 1);  // frame of a, of sliders
+  ARRAY(Vec2, axis, HAS_PRISMATIC_JOINTS ? NUM_JOINTS + 1 : 1);        // world frame, as the bodies stand
   ARRAY(Drive, drives, HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1);
+  ARRAY(unsigned int, included, JOINT_WORDS);  // a bit a joint that a pass is about
+  ARRAY(unsigned int, repeated, JOINT_WORDS);  // the same: for which it is a repeated one, of an impact
+  JointSystem system;
   Springs springs;
   int count;
 
-  KFN void load(Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params,
-                const Column& impulses) {
-    springs.load(bodies, scene, ints, params, impulses);
+  // Which joints there are and how they are coupled: the same in all steps of a call.
+  KFN void find(const Bodies& bodies, const IntColumn& ints) {
     count = 0;
-    bool warm = params.get(PARAM_WARM_START) != real(0);
     for (int j = 0; j < NUM_JOINTS; ++j) {
       int packed = ints.get(INTS_JOINTS + j);
       if ((packed >> JOINTS_ACTIVE_SHIFT & 1) == 0) continue;
       if (!Joint::is_compiled_in(packed)) continue;
       int slot_a = packed >> JOINTS_A_SHIFT & JOINTS_A_MASK, slot_b = packed >> JOINTS_B_SHIFT & JOINTS_B_MASK;
       if (!Slot::in_use(slot_a) || !Slot::in_use(slot_b)) continue;
-      Joint& joint = list[count];
+      int a = Slot::shape(slot_a), b = Slot::shape(slot_b);
+      if (!bodies.is_dynamic(a) && !bodies.is_dynamic(b)) continue;  // nothing to hold
+      list[count].a = a;
+      list[count].b = b;
+      system.order[count++] = j;
+    }
+    system.count = count;
+    if (!SOFT_STEP) return;
+    for (int k = 0; k < count; ++k) system.clear(system.after_of(k));
+    for (int k = 0; k < count; ++k)
+      for (int i = 0; i < k; ++i) {
+        if (!shares_body(bodies, list[k], list[i])) continue;
+        system.add(system.after_of(k), i);
+        system.add(system.after_of(i), k);
+      }
+    system.find_order();
+  }
+
+  KFN static bool shares_body(const Bodies& bodies, const Joint& one, const Joint& other) {
+    bool has_a = one.a == other.a || one.a == other.b, has_b = one.b == other.a || one.b == other.b;
+    return (has_a && bodies.is_dynamic(one.a)) || (has_b && bodies.is_dynamic(one.b));
+  }
+
+  KFN void load(Bodies& bodies, const Column& scene, const IntColumn& ints, const Column& params, const Column& impulses,
+                bool is_first) {
+    springs.load(bodies, scene, ints, params, impulses);
+    if (is_first) find(bodies, ints);
+    for (int k = 0; k < count; ++k) {
+      Joint& joint = list[k];
+      int j = system.order[k], packed = ints.get(INTS_JOINTS + j);
       joint.index = j;
       joint.flags = packed;
-      joint.a = Slot::shape(slot_a);
-      joint.b = Slot::shape(slot_b);
-      if (!bodies.is_dynamic(joint.a) && !bodies.is_dynamic(joint.b)) continue;  // nothing to hold
+      joint.a = Slot::shape(packed >> JOINTS_A_SHIFT & JOINTS_A_MASK);
+      joint.b = Slot::shape(packed >> JOINTS_B_SHIFT & JOINTS_B_MASK);
       if (joint.is_prismatic()) {
         real axis_angle = scene.get(SCENE_JOINTS_AXIS_ANGLE + j);
-        local_axis[count] = {cosf(axis_angle), sinf(axis_angle)};
+        local_axis[k] = {cosf(axis_angle), sinf(axis_angle)};
       }
-      ++count;
       joint.local_a = scene.get2(SCENE_JOINTS_ANCHOR_A + 2 * j);
       joint.local_b = scene.get2(SCENE_JOINTS_ANCHOR_B + 2 * j);
       joint.lower = scene.get(SCENE_JOINTS_LOWER_LIMIT + j);
@@ -41,12 +70,8 @@ struct Joints {
         Bodies::add(bodies.counts_turns, joint.a);
         Bodies::add(bodies.counts_turns, joint.b);
       }
-      if (warm) {
-        load_impulses(joint, impulses);
-      } else {
-        joint.impulse = {real(0), real(0)};
-        joint.angular_impulse = joint.impulse_lower = joint.impulse_upper = real(0);
-      }
+      reset_impulses(k);
+      if (params.get(PARAM_WARM_START) != real(0)) load_impulses(joint, impulses);
       joint.axial_mass =
           Math::inverse_or_zero(bodies.inverse_inertia(joint.a) + bodies.inverse_inertia(joint.b));
     }
@@ -66,18 +91,6 @@ struct Joints {
     joint.impulse_upper = impulses.get(row + 4);
   }
 
-  // Joints would request again and again what a speed limit has taken back: impulses that grow
-  // without end.
-  KFN void reset_slowed(const Bodies& bodies) {
-    springs.reset_slowed(bodies);
-    for (int k = 0; k < count; ++k) {
-      Joint& joint = list[k];
-      if (!SOFT_STEP || !bodies.is_slowed(joint.a, joint.b)) continue;
-      joint.impulse = {real(0), real(0)};
-      joint.angular_impulse = joint.impulse_lower = joint.impulse_upper = real(0);
-    }
-  }
-
   KFN void store(const Column& impulses) const {
     springs.store(impulses);
     for (int k = 0; k < count; ++k) {
@@ -89,17 +102,20 @@ struct Joints {
     }
   }
 
-  KFN void prepare(const Bodies& bodies, const Column& scene, const Column& controls, const Column& params, real h) {
-    springs.prepare(bodies);
+  // Those on bodies of `which`, in islands.
+  KFN void prepare(const Bodies& bodies, const unsigned int* which, const Column& scene, const Column& controls,
+                   const Column& params, real h) {
+    springs.prepare(bodies, which);
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
+      if (!Bodies::has(which, bodies.is_dynamic(joint.a) ? joint.a : joint.b)) continue;
       joint.centre_gap = bodies.position[joint.b] - bodies.position[joint.a];
       joint.start_angle = joint.wanted_angle(bodies.angle[joint.b] - bodies.angle[joint.a] -
                                              scene.get(SCENE_JOINTS_REST_ANGLE + joint.index));
-      joint.turn_arms(bodies);
+      place(bodies, k);
       real base_speed = params.get(PARAM_BASE_MOTOR_SPEED), base_power = params.get(PARAM_BASE_MOTOR_POWER);
       if (joint.is_prismatic()) {
-        joint.axial_mass = Slider::of(bodies, joint, local_axis[k]).axial_mass(bodies, joint);
+        joint.axial_mass = Math::inverse_or_zero(rows_of(k).axial(Pair::of(bodies, joint.a, joint.b)));
         base_speed = params.get(PARAM_BASE_SLIDER_SPEED);
         base_power = params.get(PARAM_BASE_SLIDER_POWER);
       }
@@ -110,47 +126,40 @@ struct Joints {
       // The power is the acceleration that the motor can give to the pair of bodies alone.
       joint.max_motor_impulse = h * base_power * scene.get(SCENE_JOINTS_MOTOR_POWER + joint.index) * joint.axial_mass;
       if (!driven && !joint.is_fixed()) joint.angular_impulse = real(0);
-      if (driven && joint.drive() != DRIVE_VELOCITY) {
-        real speed = base_speed * scene.get(SCENE_JOINTS_MOTOR_SPEED + joint.index);
-        drives[k] = Drive::of(joint, inverse_driven_mass(bodies, k), control, speed, h);
-      }
+      if (driven && joint.drive() != DRIVE_VELOCITY)
+        drives[k] = Drive::of(joint, control, base_speed * scene.get(SCENE_JOINTS_MOTOR_SPEED + joint.index));
+      if (SOFT_STEP && joint.has_axial_row()) system.axial[k].holds = held_before(bodies, k);
     }
   }
 
-  // How fast the bodies go along or about the axis after a unit of impulse, with what their joint holds against it.
-  KFN real inverse_driven_mass(const Bodies& bodies, int k) const {
+  // What the row along its axis holds, by the impulses that it has and the motor's speed.
+  KFN int held_before(const Bodies& bodies, int k) const {
     const Joint& joint = list[k];
-    Pair pair = Pair::of(bodies, joint.a, joint.b);
-    if (joint.is_prismatic()) return Slider::of(bodies, joint, local_axis[k]).inverse_driven_mass(pair);
-    Arms arms = joint.common_arms(pair, joint.gap(bodies));
-    Vec2 wrong = wrong_of_turn(pair, arms);
-    real free = pair.inverse_inertia_a + pair.inverse_inertia_b;
-    return Math::max(free - wrong.dot(point_mass_times(pair, arms, wrong)), real(0));
+    if (joint.is_limited() && joint.impulse_lower > real(0)) return AxialRow::LOWER;
+    if (joint.is_limited() && joint.impulse_upper > real(0)) return AxialRow::UPPER;
+    real speed = rows_of(k).axial_speed(Pair::of(bodies, joint.a, joint.b));
+    real more = joint.drive() == DRIVE_VELOCITY ? joint.motor_target - speed : real(0);
+    real needed = Fused::of(more, joint.axial_mass, joint.angular_impulse);
+    return joint.is_driven() && Math::abs(needed) < joint.max_motor_impulse ? AxialRow::MOTOR : AxialRow::NOTHING;
   }
 
-  // Speed of b's point from a's that a unit of angular impulse makes.
-  KFN static Vec2 wrong_of_turn(const Pair& pair, Arms arms) {
-    return (arms.a.left() * pair.inverse_inertia_a).plus(arms.b.left(), pair.inverse_inertia_b);
+  KFN JointRows rows_of(int k) const {
+    const Joint& joint = list[k];
+    real none = real(0), one = real(1), is_weld = joint.is_fixed() ? one : none, third = is_weld;
+    if (HAS_AXES && joint.has_axial_row()) third = system.axial[k].holds != AxialRow::NOTHING ? one : none;
+    Vec2 a = joint.common_a, b = joint.common_b;
+    if (!joint.is_prismatic()) return {{one, none}, {none, one}, {none, none}, -a.y, -b.y, a.x, b.x, one, one, third, is_weld};
+    Vec2 along = axis[k], across = along.left();
+    JointRows rows = {across, {none, none}, along, a.cross(across), b.cross(across), one, one, none, none, third, none};
+    rows.along_a = a.cross(along);
+    rows.along_b = b.cross(along);
+    return rows;
   }
 
-  // Where a servo aims for the next sub-step, by how far it has come: rad or m.
-  KFN void aim(int k, real position, const Soft& soft) {
-    Joint& joint = list[k];
-    if (joint.drive() == DRIVE_SERVO)
-      joint.motor_target = drives[k].speed_towards(drives[k].position - position, soft.inverse_h);
-  }
-
-  KFN real motor_mass(int k) const {
-    return list[k].drive() == DRIVE_VELOCITY ? list[k].axial_mass : drives[k].mass;
-  }
-
-  KFN void warm_start(Bodies& bodies) {
+  // Of a sub-step. Joints need no warm start: they are solved directly.
+  KFN void begin(Bodies& bodies) {
     springs.warm_start(bodies);
-    for (int k = 0; k < count; ++k) {
-      Pair pair = Pair::of(bodies, list[k].a, list[k].b);
-      apply_impulses(bodies, pair, k);
-      pair.write_back(bodies);
-    }
+    for (int k = 0; k < count; ++k) reset_impulses(k);
   }
 
   KFN void reset_impulses(int k) {
@@ -158,148 +167,243 @@ struct Joints {
     list[k].angular_impulse = list[k].impulse_lower = list[k].impulse_upper = real(0);
   }
 
-  KFN bool is_at_limit(int k) const { return list[k].impulse_lower + list[k].impulse_upper > real(0); }
+  // Of joint k, whose bodies have none of its impulses, that of its motor alone.
+  KFN void leave_motor(Bodies& bodies, int k) {
+    Joint& joint = list[k];
+    real motor = joint.is_fixed() ? real(0) : joint.angular_impulse;
+    reset_impulses(k);
+    if (motor == real(0)) return;
+    Pair pair = Pair::of(bodies, joint.a, joint.b);
+    rows_of(k).push(pair, {real(0), real(0), motor});
+    pair.write_back(bodies);
+    joint.angular_impulse = motor;
+  }
 
-  // All that joint k exerts, with its arms as they are.
-  KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {
+  // All that joint k exerts.
+  KFN void apply_impulses(const Bodies&, Pair& pair, int k) const {
     const Joint& joint = list[k];
-    if (joint.is_prismatic()) {
-      Slider::of(bodies, joint, local_axis[k]).warm_start(pair, joint);
-    } else {
-      Arms arms = joint.common_arms(pair, joint.gap(bodies));
-      pair.apply_impulse(arms.a, arms.b, joint.impulse);
-      pair.apply_angular_impulse(joint.angular_impulse + joint.impulse_lower - joint.impulse_upper);
+    rows_of(k).push(pair, joint.held_impulse());
+  }
+
+  // One of two rounds of a pass with bias, or a bounce. A second one is for what contacts and changed spins have made wrong
+  // since the first. A bounce is without motors: a force or torque does nothing in an instant.
+  //
+  // A round is solved with what motors and limits held at last. Where that is not what they would do at the speeds that come
+  // out, their articulation is solved again with what they would. Where they do not agree with each other in the end, limits
+  // hold still, which takes energy and gives none.
+  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool is_first, ActiveSet& active) {
+    if (is_first)
+      for (int pass = 0; pass < (use_bias ? SPRING_PASSES : 1); ++pass) springs.solve(bodies, soft, use_bias, use_bias, active);
+    if (count == 0) return;
+    if (is_first) {
+      find_included(active);
+      begin(bodies, soft, use_bias);
+    }
+    unsigned int which[JOINT_WORDS];  // that an attempt is about
+    for (int word = 0; word < JOINT_WORDS; ++word) which[word] = included[word];
+    bool is_new = is_first;
+    for (int attempt = HAS_BRAKES_AND_SERVOS && is_first && use_bias ? -1 : 0;; ++attempt) {
+      if (HAS_AXES && is_new && attempt >= 0) push_unheld(bodies, which, active);
+      assemble(bodies, which, soft, {use_bias, is_new, attempt <= 0});
+      system.eliminate(which, is_new);
+      if (attempt < 0) {
+        aim_servos(bodies, which, soft);
+        continue;
+      }
+      push(bodies, which, active);
+      if (!HAS_AXES || attempt == AXIAL_CHANGES || !choose_held(bodies, which, attempt + 1 == AXIAL_CHANGES)) break;
+      is_new = true;
     }
   }
 
-  // Without `motors` in a bounce: a force or torque does nothing in an instant.
-  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool motors, ActiveSet& active) {
-    springs.solve(bodies, soft, use_bias, motors, active);
-    for (int k = 0; k < count; ++k) {
+  KFN void push(Bodies& bodies, const unsigned int* which, ActiveSet& active) {
+    for (int k = count - 1; k >= 0; --k) {
+      if (!JointSystem::has(which, k)) continue;
       Joint& joint = list[k];
-      if (active.leaves_out(joint.a, joint.b)) continue;
       Pair pair = Pair::of(bodies, joint.a, joint.b);
       Vec2 before = pair.velocity_b - pair.velocity_a;
-      Softness own = Softness::either(joint.is_softened(), soft.softened, soft.joint);
-      if (joint.is_prismatic()) {
-        joint.turn_arms(bodies);
-        Slider slider = Slider::of(bodies, joint, local_axis[k]);
-        if (motors && joint.is_driven()) aim(k, slider.translation(), soft);
-        slider.solve(bodies, pair, joint, motor_mass(k), soft, use_bias, motors);
-      } else if (joint.is_fixed()) {
-        solve_weld(bodies, pair, joint, soft, own, use_bias);
-      } else {
-        bool driven = motors && joint.is_driven(), motor_last = joint.is_motor_last(use_bias);
-        if (driven) aim(k, joint.current_angle(bodies), soft);
-        // One place for both orders: what is inlined twice is twice the code.
-        for (bool last = false;; last = true) {
-          if (driven && last == motor_last) solve_motor(bodies, pair, joint, motor_mass(k));
-          if (last) break;
-          if (joint.is_limited()) solve_limits(pair, joint, joint.current_angle(bodies), soft, use_bias);
-          solve_point(bodies, pair, joint, soft, own, use_bias);
-        }
-      }
-      active.mark_if_moved(bodies, pair, before);
-      pair.write_back(bodies);
+      Vec3 impulse = -system.substitute(k);
+      rows_of(k).push(pair, impulse);
+      joint.impulse = joint.impulse + Vec2{impulse.x, impulse.y};
+      if (joint.is_fixed()) joint.angular_impulse += impulse.z;
+      if (HAS_AXES && joint.has_axial_row()) joint.set_axial(system.axial[k], joint.total_impulse() + impulse.z);
+      write(bodies, pair, k, before, active);
     }
   }
 
-  // Velocity constraint with a bounded torque: dt changes neither its target nor its strength.
-  KFN static void solve_motor(const Bodies& bodies, Pair& pair, Joint& joint, real mass) {
-    real speed = pair.omega_b - pair.omega_a;
-    real added = joint.motor_impulse(speed, mass);
-    pair.apply_angular_impulse(added);
-    if (joint.drive() == DRIVE_VELOCITY) return;
-    Arms arms = joint.common_arms(pair, joint.gap(bodies));
-    Vec2 answer = point_mass_times(pair, arms, wrong_of_turn(pair, arms)) * -added;
-    joint.impulse = joint.impulse + answer;
-    pair.apply_impulse(arms.a, arms.b, answer);
+  // Where bodies stand, and what drives and bounds axes.
+  KFN void begin(const Bodies& bodies, const Soft& soft, bool use_bias) {
+    for (EachJoint k = EachJoint::of(included); k.next();) {
+      place(bodies, k.joint);
+      if (HAS_AXES && list[k.joint].has_axial_row()) begin_axis(bodies, k.joint, soft, use_bias);
+    }
   }
 
-  // J, what motors and springs have added to the bodies' energy in this sub-step.
-  KFN real motor_work(const Bodies& bodies) const {
-    real work = springs.work(bodies);
-    for (int k = 0; k < count && HAS_MOTORS; ++k) work += motor_work(bodies, k);
-    return work;
+  // Impulses of motors that have not their speed, and none of limits that are not reached.
+  KFN void push_unheld(Bodies& bodies, const unsigned int* which, ActiveSet& active) {
+    for (EachJoint k = EachJoint::of(which); k.next();) {
+      Joint& joint = list[k.joint];
+      const AxialRow& row = system.axial[k.joint];
+      if (!joint.has_axial_row() || row.holds != AxialRow::NOTHING) continue;
+      real change = row.impulse - joint.total_impulse();
+      if (change == real(0)) continue;
+      Pair pair = Pair::of(bodies, joint.a, joint.b);
+      Vec2 before = pair.velocity_b - pair.velocity_a;
+      rows_of(k.joint).push(pair, {real(0), real(0), change});
+      joint.set_axial(row, row.impulse);
+      write(bodies, pair, k.joint, before, active);
+    }
   }
 
-  KFN real motor_work(const Bodies& bodies, int k) const {
+  KFN void write(Bodies& bodies, const Pair& pair, int k, Vec2 before, ActiveSet& active) const {
+    if (SHARES_IMPACTS && JointSystem::has(repeated, k)) active.mark_if_moved(bodies, pair, before);
+    pair.write_back(bodies);
+  }
+
+  // What motors and limits would hold now. `which` are then articulations where that is something else; False if none.
+  KFN bool choose_held(const Bodies& bodies, unsigned int* which, bool is_last) {
+    unsigned int changed[JOINT_WORDS];  // last joints of articulations
+    JointSystem::clear(changed);
+    bool any = false;
+    for (EachJoint k = EachJoint::of(which); k.next();) {
+      const Joint& joint = list[k.joint];
+      if (!joint.has_axial_row()) continue;
+      AxialRow& row = system.axial[k.joint];
+      real speed = row.holds == AxialRow::NOTHING ? rows_of(k.joint).axial_speed(Pair::of(bodies, joint.a, joint.b)) : real(0);
+      if (!row.choose(speed, joint.total_impulse())) continue;
+      JointSystem::add(changed, system.last[k.joint]);
+      any = true;
+    }
+    if (!any) return false;
+    for (EachJoint k = EachJoint::of(which); k.next();) {
+      const Joint& joint = list[k.joint];
+      if (!JointSystem::has(changed, system.last[k.joint])) JointSystem::remove(which, k.joint);
+      else if (is_last && joint.has_axial_row()) system.axial[k.joint].settle(joint.total_impulse());
+    }
+    return true;
+  }
+
+  // Articulations as a whole.
+  KFN void find_included(const ActiveSet& active) {
+    unsigned int articulations[JOINT_WORDS];  // their last joints
+    JointSystem::clear(articulations);
+    JointSystem::clear(included);
+    unsigned int repeating[JOINT_WORDS];
+    JointSystem::clear(repeating);
+    JointSystem::clear(repeated);
+    for (int k = 0; k < count; ++k) {
+      if (!active.leaves_out(list[k].a, list[k].b)) JointSystem::add(articulations, system.last[k]);
+      if (active.shares(list[k].a, list[k].b)) JointSystem::add(repeating, system.last[k]);
+    }
+    for (int k = 0; k < count; ++k) {
+      if (JointSystem::has(articulations, system.last[k])) JointSystem::add(included, k);
+      if (JointSystem::has(repeating, system.last[k])) JointSystem::add(repeated, k);
+    }
+  }
+
+  // Right sides, and the matrix if it is new. What anchors go wrong by beside their rows' speeds is found in the first attempt
+  // of a round: attempts lead to what depends on nothing but what they hold.
+  struct Assembly {
+    bool use_bias, is_new, finds_bias;
+  };
+  KFN void assemble(const Bodies& bodies, const unsigned int* which, const Soft& soft, Assembly what) {
+    bool use_bias = what.use_bias;
+    for (EachJoint k = EachJoint::of(which); k.next();) {
+      const Joint& joint = list[k.joint];
+      Pair pair = Pair::of(bodies, joint.a, joint.b);
+      JointRows rows = rows_of(k.joint);
+      Vec3 wrong = rows.speeds(pair);
+      if (use_bias && what.finds_bias) system.bias[k.joint] = wrong_of_move(bodies, pair, k.joint, soft).plus(wrong, real(-1));
+      if (use_bias) wrong = wrong.plus(system.bias[k.joint], real(1));
+      if (HAS_AXES && joint.has_axial_row()) wrong.z = rows.third * (rows.axial_speed(pair) - system.axial[k.joint].speed());
+      if (use_bias) wrong = wrong.plus(rows.yielding(pair, joint.held_impulse()), real(1));
+      system.x[k.joint] = wrong;
+      if (what.is_new) system.diagonal[k.joint] = rows.held(pair);
+    }
+    if (!what.is_new) return;
+    for (EachJoint k = EachJoint::of(which); k.next();) {
+      JointRows rows = rows_of(k.joint);
+      for (EachJoint i = EachJoint::of(system.after_of(k.joint)); i.next();)
+        system.above[JointSystem::block(k.joint, i.joint)] =
+            coupling(bodies, list[k.joint], rows, list[i.joint], rows_of(i.joint));
+    }
+  }
+
+  // What two joints change of each other, at bodies that they share.
+  KFN static Block coupling(const Bodies& bodies, const Joint& joint, const JointRows& rows, const Joint& other,
+                            const JointRows& others) {
+    Vec3 none = {real(0), real(0), real(0)};
+    Block sum = {none, none, none};
+    for (int side = 0; side < 2; ++side) {
+      int body = side == 0 ? joint.a : joint.b;
+      bool is_b = other.b == body;
+      if ((!is_b && other.a != body) || !bodies.is_dynamic(body)) continue;
+      JointSide::of(rows, side == 1).add_coupling(sum, JointSide::of(others, is_b), bodies.inverse_mass(body),
+                                                  bodies.inverse_inertia(body));
+    }
+    return sum;
+  }
+
+  KFN void place(const Bodies& bodies, int k) {
+    list[k].place(bodies);
+    if (list[k].is_prismatic()) axis[k] = bodies.rotation[list[k].a].apply(local_axis[k]);
+  }
+
+  // Where servos aim, all axes that they turn held.
+  KFN void aim_servos(const Bodies& bodies, const unsigned int* which, const Soft& soft) {
+    for (EachJoint k = EachJoint::of(which); k.next();) {
+      const Joint& joint = list[k.joint];
+      if (!joint.is_driven() || joint.drive() != DRIVE_SERVO) continue;
+      AxialRow& row = system.axial[k.joint];
+      real way = drives[k.joint].position - axial_position(bodies, k.joint);
+      row.target = drives[k.joint].speed_towards(way, row.most * system.axial_inverse_mass(k.joint), soft.inverse_h);
+      row.begin(rows_of(k.joint).axial_speed(Pair::of(bodies, joint.a, joint.b)));
+    }
+  }
+
+  KFN real axial_position(const Bodies& bodies, int k) const {
+    return list[k].is_prismatic() ? axis[k].dot(list[k].apart) : list[k].current_angle(bodies);
+  }
+
+  KFN void begin_axis(const Bodies& bodies, int k, const Soft& soft, bool use_bias) {
     const Joint& joint = list[k];
-    if (!joint.is_driven()) return real(0);
-    real speed = bodies.omega(joint.b) - bodies.omega(joint.a);
-    if (joint.is_prismatic())
-      speed = Slider::of(bodies, joint, local_axis[k]).axial_speed(Pair::of(bodies, joint.a, joint.b));
-    return Math::max(joint.angular_impulse * speed, real(0));
+    AxialRow& row = system.axial[k];
+    bool drives = use_bias && joint.is_driven();
+    row.most = drives ? joint.max_motor_impulse : joint.angular_impulse;
+    row.least = drives ? -row.most : row.most;
+    row.target = joint.motor_target;
+    row.lowest = -FAR_DISTANCE;
+    row.highest = FAR_DISTANCE;
+    if (joint.is_limited()) {
+      real position = axial_position(bodies, k), back = joint.is_prismatic() ? soft.pull_speed : soft.turn_back_speed;
+      row.lowest = -soft.limit_speed(position - joint.lower, back, use_bias);
+      row.highest = Math::max(soft.limit_speed(joint.upper - position, back, use_bias), row.lowest);
+    }
+    // Of a servo first what its motor moves.
+    if (drives && joint.drive() == DRIVE_SERVO)
+      row.holds = AxialRow::MOTOR;
+    else
+      row.begin(rows_of(k).axial_speed(Pair::of(bodies, joint.a, joint.b)));
   }
 
-  // J, what kinematic bodies have done through joints and springs in this sub-step.
-  KFN real kinematic_work(const Bodies& bodies) const {
-    real work = springs.kinematic_work(bodies);
-    for (int k = 0; k < count && HAS_KINEMATIC_BODIES; ++k) work += kinematic_work(bodies, k);
-    return work;
-  }
-
-  KFN real kinematic_work(const Bodies& bodies, int k) const {
-    if (!bodies.is_kinematic(list[k].a) && !bodies.is_kinematic(list[k].b)) return real(0);
-    Pair taken = Pair::of_kinematic(bodies, list[k].a, list[k].b);
-    apply_impulses(bodies, taken, k);
-    return taken.work_of_kinematic(bodies);
-  }
-
-  // Angle and common point at once: one after the other, each undoes most of the other where the arms are long beside
-  // what the bodies' inertia is like, and what they warm-start the next sub-step with then grows.
-  KFN static void solve_weld(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, const Softness& own,
-                             bool use_bias) {
-    real max_speed = soft.turn_back_speed;
-    real bias = use_bias ? Math::clamp(own.bias_rate * joint.current_angle(bodies), -max_speed, max_speed) : real(0);
-    real mass_scale = use_bias ? own.mass_scale : real(1);
-    real impulse_scale = use_bias ? own.impulse_scale : real(0);
-    real turn = (pair.omega_b - pair.omega_a + bias) * joint.axial_mass;
-    Arms arms;
-    Vec2 wrong = wrong_of_point(bodies, pair, joint, soft, own.bias_rate, use_bias, arms);
-    Vec2 lever = wrong_of_turn(pair, arms);
-    Vec2 point = point_mass_times(pair, arms, wrong.minus(lever, turn), joint.axial_mass);
-    real left = Fused::of(-lever.dot(point), joint.axial_mass, turn);
-    real angular = Fused::of(-mass_scale, left, -(impulse_scale * joint.angular_impulse));
-    Vec2 impulse = (-(point * mass_scale)).minus(joint.impulse, impulse_scale);
-    joint.angular_impulse += angular;
-    joint.impulse = joint.impulse + impulse;
-    pair.apply_angular_impulse(angular);
-    pair.apply_impulse(arms.a, arms.b, impulse);
-  }
-
-  KFN static void solve_limits(Pair& pair, Joint& joint, real angle, const Soft& soft, bool use_bias) {
-    real speed = pair.omega_b - pair.omega_a;
-    real lower = joint.lower_impulse(angle - joint.lower, speed, soft, use_bias, soft.turn_back_speed);
-    pair.apply_angular_impulse(lower);
-    speed = pair.omega_b - pair.omega_a;
-    real upper = joint.upper_impulse(joint.upper - angle, -speed, soft, use_bias, soft.turn_back_speed);
-    pair.apply_angular_impulse(-upper);
-  }
-
-  KFN static void solve_point(const Bodies& bodies, Pair& pair, Joint& joint, const Soft& soft, const Softness& own,
-                              bool use_bias) {
-    Arms arms;
-    Vec2 wrong = wrong_of_point(bodies, pair, joint, soft, own.bias_rate, use_bias, arms);
-    real mass_scale = use_bias ? own.mass_scale : real(1);
-    real impulse_scale = use_bias ? own.impulse_scale : real(0);
-    Vec2 impulse = (-(point_mass_times(pair, arms, wrong) * mass_scale)).minus(joint.impulse, impulse_scale);
-    joint.impulse = joint.impulse + impulse;
-    pair.apply_impulse(arms.a, arms.b, impulse);
-  }
-
-  // How fast b's point goes from a's, beyond what closes their gap; and the arms to where they are held.
-  KFN static Vec2 wrong_of_point(const Bodies& bodies, const Pair& pair, Joint& joint, const Soft& soft, real rate,
-                                 bool use_bias, Arms& arms) {
-    if (!use_bias) joint.turn_arms(bodies);  // since the pass with bias they have moved
-    Vec2 gap = joint.gap(bodies);
-    arms = joint.common_arms(pair, gap);
-    Vec2 wrong = pair.relative(arms.a, arms.b);
-    if (!use_bias) return wrong;
-    // Anchors go around their bodies: what that takes them off the tangent by the end of the sub-step counts too.
-    real spin_a = Math::min(Math::abs(pair.omega_a), soft.max_spin), spin_b = Math::min(Math::abs(pair.omega_b), soft.max_spin);
-    Vec2 bend = (joint.arm_a * (spin_a * spin_a)).minus(joint.arm_b, spin_b * spin_b);
-    return (wrong + clamp_length(gap * rate, soft.pull_speed)).plus(bend, soft.bend_time);
+  // Speeds at which what is held goes wrong if the bodies move as they do, and what undoes the errors that there are.
+  // Anchors go around their bodies: by where they get to, they stay on their circles.
+  KFN Vec3 wrong_of_move(const Bodies& bodies, const Pair& pair, int k, const Soft& soft) const {
+    const Joint& joint = list[k];
+    Turn a = Turn::by(Math::clamp(pair.omega_a, -soft.max_spin, soft.max_spin) * soft.h);
+    Turn b = Turn::by(Math::clamp(pair.omega_b, -soft.max_spin, soft.max_spin) * soft.h);
+    Vec2 moved = (b.chord(joint.arm_b) - a.chord(joint.arm_a)) * soft.inverse_h + (pair.velocity_b - pair.velocity_a);
+    real turning = pair.omega_b - pair.omega_a, none = real(0);
+    if (joint.is_fixed() || joint.is_prismatic())
+      turning += Math::clamp(soft.joint_rate * joint.current_angle(bodies), -soft.turn_back_speed, soft.turn_back_speed);
+    if (joint.is_prismatic()) {
+      Vec2 swing = a.chord(axis[k]), after = axis[k] + swing;
+      real across = after.left().dot(moved) + swing.left().dot(joint.apart) * soft.inverse_h;
+      real error = axis[k].left().dot(joint.apart);
+      return {across + Math::clamp(soft.joint_rate * error, -soft.pull_speed, soft.pull_speed), turning, none};
+    }
+    Vec2 wrong = moved + clamp_length(joint.apart * soft.joint_rate, soft.pull_speed);
+    return {wrong.x, wrong.y, joint.is_fixed() ? turning : none};
   }
 
   KFN static Vec2 clamp_length(Vec2 v, real max_length) {
@@ -307,21 +411,18 @@ struct Joints {
     return squared > max_length * max_length ? v * Fast::divide(max_length, Fast::root(squared)) : v;
   }
 
-  // Solves K x = v with K the 2 x 2 inverse effective mass of the common point.
-  // With the bodies held to turn together by `axial_mass`, of a weld: less what that takes.
-  KFN static Vec2 point_mass_times(const Pair& pair, Arms arms, Vec2 v, real axial_mass = real(0)) {
-    real mass = pair.inverse_mass_a + pair.inverse_mass_b;
-    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
-    Vec2 ra = arms.a, rb = arms.b;
-    // As one body turns: ia ra + ib rb is in both, what is left is ia ib / (ia + ib) (ra - rb) twice.
-    if (axial_mass != real(0)) {
-      Vec2 d = ra - rb;
-      real i = ia * ib * axial_mass;
-      return Symmetric::solve(Fused::of(i * d.y, d.y, mass), -i * d.x * d.y, Fused::of(i * d.x, d.x, mass), v);
-    }
-    real k11 = Fused::of(ib * rb.y, rb.y, Fused::of(ia * ra.y, ra.y, mass));
-    real k12 = Fused::of(-ib * rb.x, rb.y, -ia * ra.x * ra.y);
-    real k22 = Fused::of(ib * rb.x, rb.x, Fused::of(ia * ra.x, ra.x, mass));
-    return Symmetric::solve(k11, k12, k22, v);
+  // J, what the motor of joint k has added to the bodies' energy in this sub-step.
+  KFN real motor_work(const Bodies& bodies, int k) const {
+    const Joint& joint = list[k];
+    if (!joint.is_driven()) return real(0);
+    return Math::max(joint.angular_impulse * rows_of(k).axial_speed(Pair::of(bodies, joint.a, joint.b)), real(0));
+  }
+
+  // J, what kinematic bodies have done through it.
+  KFN real kinematic_work(const Bodies& bodies, int k) const {
+    if (!bodies.is_kinematic(list[k].a) && !bodies.is_kinematic(list[k].b)) return real(0);
+    Pair taken = Pair::of_kinematic(bodies, list[k].a, list[k].b);
+    apply_impulses(bodies, taken, k);
+    return taken.work_of_kinematic(bodies);
   }
 };

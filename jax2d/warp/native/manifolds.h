@@ -31,16 +31,16 @@ struct Geometry {
   ARRAY(Vec2, upper, NUM_SHAPES);
   ARRAY(real, core, NUM_SHAPES);  // least distance from centre to surface: what a fast body may not step over
   ARRAY(real, extent, NUM_SHAPES);  // largest distance from centre to surface
-  ARRAY(real, predicted_travel, NUM_SHAPES);  // how far the surface goes in `ahead` seconds at its speed, at most
+  ARRAY(real, swing, NUM_SHAPES);  // m, how far the surface goes in `ahead` seconds by turning, at most
   real ahead;
   real substep;
 
   KFN int successor(int polygon, int k) const { return k + 1 < corners[polygon] ? k + 1 : 0; }
 
-  // `fixed_too`: as in Bodies::begin_step.
-  KFN void build(const Column& scene, const IntColumn& ints, const Bodies& bodies, bool fixed_too) {
+  // `which`, `fixed_too`: as in Bodies::begin_step.
+  KFN void build(const Column& scene, const IntColumn& ints, const Bodies& bodies, bool fixed_too, const unsigned int* which) {
     for (int p = 0; p < NUM_POLYGONS; ++p) {
-      if (!bodies.is_active(p) || (!fixed_too && !bodies.moves(p))) continue;
+      if (!bodies.is_active(p) || (!fixed_too && !Bodies::has(which, p))) continue;
       corners[p] = ints.get(INTS_SHAPES_NUM_VERTICES + p);
       Rotation q = bodies.rotation[p];
       Vec2 lo = {FAR_DISTANCE, FAR_DISTANCE}, hi = {-FAR_DISTANCE, -FAR_DISTANCE};
@@ -64,43 +64,47 @@ struct Geometry {
       upper[p] = hi;
       core[p] = nearest;
       extent[p] = Fast::root(far_squared);
-      predicted_travel[p] = real(0);
+      swing[p] = real(0);
     }
     for (int c = 0; c < NUM_CIRCLES; ++c) {
-      if (!bodies.is_active(NUM_POLYGONS + c)) continue;
+      if (!bodies.is_active(NUM_POLYGONS + c) || (!fixed_too && !Bodies::has(which, NUM_POLYGONS + c))) continue;
       real r = scene.get(SCENE_SHAPES_RADIUS + c);
       radius[c] = r;
       lower[NUM_POLYGONS + c] = {-r, -r};
       upper[NUM_POLYGONS + c] = {r, r};
       core[NUM_POLYGONS + c] = r;
       extent[NUM_POLYGONS + c] = r;
-      predicted_travel[NUM_POLYGONS + c] = real(0);
+      swing[NUM_POLYGONS + c] = real(0);
     }
   }
 
   // m, of what can roll: only circles.
   KFN real rolling_radius(int i) const { return i < NUM_POLYGONS ? real(0) : radius[i - NUM_POLYGONS]; }
 
-  KFN void predict_travel(const Bodies& bodies, real seconds, real h) {
+  KFN void predict_travel(const Bodies& bodies, const unsigned int* which, real seconds, real h) {
     ahead = seconds;
     substep = h;
-    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
-      int i = each.shape;
-      predicted_travel[i] = travel(bodies, i, seconds);
-    }
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();)
+      swing[each.shape] = arm(each.shape) * Math::abs(bodies.omega(each.shape)) * seconds;
   }
 
-  // A body that never did since `predict_travel` gets by less than half of `reach` farther. Spares two roots a body.
-  KFN bool exceeds_prediction(const Bodies& bodies, int i, real reach) const {
-    real spare = predicted_travel[i] + real(0.5) * reach - (extent[i] - core[i]) * Math::abs(bodies.omega(i)) * ahead;
-    return spare < real(0) || bodies.velocity(i).dot(bodies.velocity(i)) * ahead * ahead > spare * spare;
+  // m, by which a surface goes farther than its centre when it turns by a radian. A disc's stays in its place.
+  KFN real arm(int i) const { return extent[i] - core[i]; }
+
+  // How far two surfaces move against each other in `ahead` seconds, at most. speed: of b against a.
+  KFN real predicted_travel(int a, int b, real speed) const { return speed * ahead + swing[a] + swing[b]; }
+
+  // How far a surface goes by turning until the end of the step, `left` seconds from now.
+  KFN real current_swing(const Bodies& bodies, int i, real left) const {
+    return arm(i) * (Math::abs(bodies.turn(i)) + Math::abs(bodies.omega(i)) * left);
   }
 
-  // How far a surface gets by the end of the step, at most: a disc's does not leave its place by turning.
-  KFN real travel(const Bodies& bodies, int i, real left) const {
-    real arm = extent[i] - core[i];
-    return bodies.delta(i).length() + arm * Math::abs(bodies.turn(i)) +
-           (bodies.velocity(i).length() + arm * Math::abs(bodies.omega(i))) * left;
+  // A pair of bodies that never did since `predict_travel` gets by less than `reach` farther than predicted. `before`:
+  // velocity then; `seconds`: those predicted.
+  KFN bool exceeds_prediction(const Bodies& bodies, int i, Vec2 before, real reach, real seconds) const {
+    Vec2 change = bodies.velocity(i) - before;
+    real spare = real(0.5) * reach + swing[i] - arm(i) * Math::abs(bodies.omega(i)) * seconds;
+    return spare < real(0) || change.dot(change) * seconds * seconds > spare * spare;
   }
 
   KFN bool bounds_overlap(int a, int b, Vec2 d, real margin) const {
@@ -120,6 +124,32 @@ struct Geometry {
     Manifold none;
     none.count = 0;
     return none;
+  }
+
+  // Largest distance of a point from the planes of a polygon's faces, and the face.
+  KFN real distance_of_faces(int polygon, Vec2 point, int& face) const {
+    real largest = -FAR_DISTANCE;
+    face = 0;
+    for (int k = 0; k < corners[polygon]; ++k) {
+      real s = normal[polygon * MAX_VERTICES + k].dot(point - corner[polygon * MAX_VERTICES + k]);
+      if (s > largest) {
+        largest = s;
+        face = k;
+      }
+    }
+    return largest;
+  }
+
+  // Two surfaces are at least so far from each other: between the circles around them, which is found fast.
+  KFN real bounding_distance(int a, int b, Vec2 d) const { return d.length() - extent[a] - extent[b]; }
+
+  // Two surfaces are at least so far from each other: along the normal of a face, between discs along their line.
+  KFN real least_distance(int a, int b, Vec2 d) const {
+    int face;
+    if (a >= NUM_POLYGONS) return bounding_distance(a, b, d);
+    if (b >= NUM_POLYGONS) return distance_of_faces(a, d, face) - extent[b];
+    Vec2 zero = {real(0), real(0)};
+    return Math::max(max_separation(a, zero, b, d, face), max_separation(b, d, a, zero, face));
   }
 
   KFN Manifold circle_circle(int a, int b, Vec2 d, Vec2 motion, real margin) const {
@@ -150,15 +180,8 @@ struct Geometry {
     m.count = 0;
     const Vec2* v = corner + polygon * MAX_VERTICES;
     const Vec2* n = normal + polygon * MAX_VERTICES;
-    int face = 0;
-    real face_distance = -FAR_DISTANCE;
-    for (int k = 0; k < corners[polygon]; ++k) {
-      real s = n[k].dot(centre - v[k]);
-      if (s > face_distance) {
-        face_distance = s;
-        face = k;
-      }
-    }
+    int face;
+    real face_distance = distance_of_faces(polygon, centre, face);
     real r = radius[circle];
     if (face_distance - r > margin) return m;
     Vec2 from = v[face], to = v[successor(polygon, face)];
@@ -443,6 +466,12 @@ struct Geometry {
     int feature = base + incident * FEATURE_INCIDENT;
     if (s_lower <= margin) m.points[m.count++] = {lower_point.minus(n, HALFWAY * s_lower), s_lower, feature};
     if (s_upper <= margin) m.points[m.count++] = {upper_point.minus(n, HALFWAY * s_upper), s_upper, feature + 1};
+    // Points are solved one after another: the deeper last, so that a mirror image is solved alike.
+    if (SOFT_STEP && m.count == 2 && s_upper > s_lower) {
+      ContactPoint lower = m.points[0];
+      m.points[0] = m.points[1];
+      m.points[1] = lower;
+    }
     return m;
   }
 };

@@ -8,13 +8,11 @@ struct Springs {
   KFN void load_impulses(const Column&) {}
   KFN void reset_slowed(const Bodies&) {}
   KFN void store(const Column&) const {}
-  KFN void prepare(const Bodies&) {}
+  KFN void prepare(const Bodies&, const unsigned int*) {}
   KFN void reset_impulses(int) {}
   KFN void apply_impulses(const Bodies&, Pair&, int) const {}
   KFN void warm_start(Bodies&) {}
   KFN void solve(Bodies&, const Soft&, bool, bool, ActiveSet&) {}
-  KFN real kinematic_work(const Bodies&) const { return real(0); }
-  KFN real work(const Bodies&) const { return real(0); }
   KFN real kinematic_work(const Bodies&, int) const { return real(0); }
   KFN real work(const Bodies&, int) const { return real(0); }
 };

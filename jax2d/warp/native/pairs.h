@@ -1,4 +1,4 @@
-// Which pairs of shapes are near each other: their bounds overlap when widened by the margin of the pair.
+// Which pairs of shapes are near each other: their bounds overlap when widened by the margin of the pair, or by little more.
 //
 // They are found before any is looked at closely. The worlds of a GPU's warp run in lockstep: so each goes to its own
 // next pair, where a loop over all pairs would have every world wait at each pair that is near in any of them.
@@ -19,8 +19,10 @@ struct Pairs {
           int slot_b = word * 32 + Math::lowest_bit(partners);
           if (!Slot::in_use(slot_b)) continue;
           int b = Slot::shape(slot_b);
-          Vec2 d = bodies.position[b] - bodies.position[a];
-          if (geometry.bounds_overlap(a, b, d, margin(geometry, a, b, reach, ahead)))
+          Vec2 d = bodies.position[b] - bodies.position[a], motion = bodies.velocity(b) - bodies.velocity(a);
+          // At least its length, without a root: Contacts::find asks again with that, of few pairs.
+          real speed = Math::abs(motion.x) + Math::abs(motion.y);
+          if (geometry.bounds_overlap(a, b, d, margin(geometry, a, b, speed, reach, ahead)))
             near |= partners & (~partners + 1u);  // its lowest bit
         }
         row(a, word) = near;
@@ -33,13 +35,13 @@ struct Pairs {
   KFN int next_word(int a, int word) const { return SWEEP ? sweep.next_word(a, word) : word + 1; }
   KFN unsigned int& row(int a, int word) { return (SWEEP ? sweep.rows : rows)[a * TOUCH_WORDS + word]; }
 
-  // A contact is prepared within `reach`, or within what both move in a step, so that it does not end inside; and within
-  // both for a body that could step over what is in its way.
-  KFN static real margin(const Geometry& geometry, int a, int b, real reach, bool ahead) {
+  // A contact is prepared within `reach`, or within what both move against each other in a step, so that it does not end
+  // inside; and within both for a body that could step over what is in its way. speed: of b against a.
+  KFN static real margin(const Geometry& geometry, int a, int b, real speed, real reach, bool ahead) {
     if (!ahead) return reach;
-    real motion = geometry.predicted_travel[a] + geometry.predicted_travel[b];
+    real travel = geometry.predicted_travel(a, b, speed);
     real safe = SAFE_CORE_SHARE * Math::min(geometry.core[a], geometry.core[b]);
-    return motion > safe ? reach + motion : Math::max(reach, motion);
+    return travel > safe ? reach + travel : Math::max(reach, travel);
   }
 };
 

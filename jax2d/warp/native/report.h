@@ -41,18 +41,20 @@ struct Report {
     for (int i = 0; i < contacts.count; ++i) acted[i] = {real(0), real(0)};
   }
 
-  // Counts what has acted since the last time; `share` of it was left to act.
-  KFN void add(const Contacts& contacts, real share) {
-    for (int i = 0; i < contacts.count; ++i) {
-      const Contact& c = contacts.list[i];
-      Vec2 now = {c.impulse_normal, c.impulse_tangent};
-      if (slot[i] >= 0) {
-        int row = OUT_CONTACT_IMPULSE + 2 * slot[i];
-        Vec2 more = (now - acted[i]) * share;
-        values.set2(row, values.get2(row) + c.normal * more.x + c.normal.right() * more.y);
-      }
-      acted[i] = now;
+  // Counts what has acted since the last time.
+  KFN void add(const Contacts& contacts) {
+    for (int i = 0; i < contacts.count; ++i) add(contacts.list[i], i, real(1));
+  }
+
+  // Of contact i; `share` of it was left to act.
+  KFN void add(const Contact& c, int i, real share) {
+    Vec2 now = {c.impulse_normal, c.impulse_tangent};
+    if (slot[i] >= 0) {
+      int row = OUT_CONTACT_IMPULSE + 2 * slot[i];
+      Vec2 more = (now - acted[i]) * share;
+      values.set2(row, values.get2(row) + c.normal * more.x + c.normal.right() * more.y);
     }
+    acted[i] = now;
   }
 
   // Where contacts are, midway between both surfaces as their bodies stand.

@@ -17,29 +17,30 @@ struct Softness {
 
 // How a sub-step is solved.
 struct Soft {
-  Softness contact, fixed, joint, softened;  // fixed: contacts with what cannot move
+  Softness contact, fixed, spring;  // fixed: contacts with what cannot move
   real h, inverse_h;
-  real bend_time;  // s, times a spin squared and an arm: speed that keeps an anchor on its circle
-  real max_spin;   // faster nothing turns in the end, however fast it does while velocities are solved
+  real joint_rate;  // 1/s, at which errors of joints are undone
+  real max_spin;    // faster nothing turns in the end, however fast it does while velocities are solved
   real push_out_speed, pull_speed, turn_back_speed;  // fastest at which overlaps, gaps of joints and angles are undone
 
   KFN static Soft load(const Column& params) {
+    real inverse_h = real(1) / params.get(PARAM_H);
     return {Softness::load(params, PARAM_CONTACT_BIAS_RATE), Softness::load(params, PARAM_FIXED_BIAS_RATE),
-            Softness::load(params, PARAM_JOINT_BIAS_RATE), Softness::load(params, PARAM_SOFTENED_BIAS_RATE), params.get(PARAM_H), real(1) / params.get(PARAM_H),
-            real(0.5) * BEND_SHARE * params.get(PARAM_H), params.get(PARAM_MAX_ANGULAR_SPEED),
+            Softness::load(params, PARAM_SPRING_BIAS_RATE), params.get(PARAM_H), inverse_h,
+            params.get(PARAM_JOINT_CORRECTION) * inverse_h, params.get(PARAM_MAX_ANGULAR_SPEED),
             params.get(PARAM_PUSH_OUT_SPEED), params.get(PARAM_JOINT_PULL_SPEED), params.get(PARAM_JOINT_TURN_SPEED)};
   }
 
   // Of a limit along a line, one-sided: clearance is what is left before it, speed that at which clearance grows. It is softened as
-  // joints are: rows of rods that do not, and light sliders that carry heavy ones, would gain energy.
+  // springs are: rows of rods that are not would gain energy.
   KFN real limit_impulse(real clearance, real speed, real mass, real& accumulated, bool use_bias) const {
     real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
     if (clearance > real(0)) {
       bias = clearance * inverse_h;
     } else if (use_bias) {
-      bias = Math::max(joint.bias_rate * clearance, -pull_speed);
-      mass_scale = joint.mass_scale;
-      impulse_scale = joint.impulse_scale;
+      bias = Math::max(spring.bias_rate * clearance, -pull_speed);
+      mass_scale = spring.mass_scale;
+      impulse_scale = spring.impulse_scale;
     }
     real impulse = -mass * mass_scale * (speed + bias) - impulse_scale * accumulated;
     real total = Math::max(accumulated + impulse, real(0));
@@ -48,12 +49,18 @@ struct Soft {
     return impulse;
   }
 
+  // Fastest at which a joint may go towards its limit, at `clearance` from it. Beyond the limit it comes back.
+  KFN real limit_speed(real clearance, real max_return_speed, bool use_bias) const {
+    if (clearance > real(0)) return clearance * inverse_h;
+    return use_bias ? Math::max(joint_rate * clearance, -max_return_speed) : real(0);
+  }
+
   // Of springs (springs.h): stiffness x h^2 / mass of a joint, and how far ahead a spring looks, in sub-steps.
   KFN real max_q() const {
-    return joint.impulse_scale > real(0) ? joint.mass_scale / joint.impulse_scale * joint.bias_rate * h : FAR_DISTANCE;
+    return spring.impulse_scale > real(0) ? spring.mass_scale / spring.impulse_scale * spring.bias_rate * h : FAR_DISTANCE;
   }
   KFN real theta(real q) const {
-    real max_theta = joint.impulse_scale > real(0) ? real(1) / (joint.bias_rate * h) : real(0), share = q / max_q();
+    real max_theta = spring.impulse_scale > real(0) ? real(1) / (spring.bias_rate * h) : real(0), share = q / max_q();
     return q + Math::max(max_theta - max_q(), real(0)) * share * share;
   }
 };

@@ -3,8 +3,8 @@
 //   impulse = -h (k (C + theta h v) + c v), C = length - rest length at the start of the sub-step, v the speed after it
 //
 // With q = k h^2 / mass, theta = q + (theta_max - q_max) (q / q_max)^2: a spring that is slow against the sub-step is solved
-// as free motion is (semi-implicit, which keeps its energy), a fast one implicitly. The stiffest that can be solved is a
-// joint: q_max and theta_max are its. The line is where both anchors are now, so that the impulse acts on both bodies
+// as free motion is (semi-implicit, which keeps its energy), a fast one implicitly. The stiffest that can be solved has
+// the frequency and damping of the settings: q_max and theta_max are its. The line is where both anchors are now, so that the impulse acts on both bodies
 // along one line and changes no momentum of the two.
 
 struct Spring {
@@ -122,9 +122,12 @@ struct Springs {
   KFN int a_of(int k) const { return list[k].a; }
   KFN int b_of(int k) const { return list[k].b; }
 
-  KFN void prepare(const Bodies& bodies) {
-    for (int k = 0; k < count; ++k)
-      list[k].centre_gap = bodies.position[list[k].b] - bodies.position[list[k].a];
+  // Those on bodies of `which`, in islands.
+  KFN void prepare(const Bodies& bodies, const unsigned int* which) {
+    for (int k = 0; k < count; ++k) {
+      int a = list[k].a, b = list[k].b;
+      if (Bodies::has(which, bodies.is_dynamic(a) ? a : b)) list[k].centre_gap = bodies.position[b] - bodies.position[a];
+    }
   }
 
   KFN void reset_impulses(int k) { list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0); }
@@ -152,18 +155,12 @@ struct Springs {
       Spring::Line line = spring.line(bodies);
       if (forces) spring.solve_force(line, pair, soft, use_bias);
       spring.solve_limits(line, pair, soft, use_bias);
-      active.mark_if_moved(bodies, pair, before);
+      if (active.shares(spring.a, spring.b)) active.mark_if_moved(bodies, pair, before);
       pair.write_back(bodies);
     }
   }
 
-  // J, what kinematic bodies have done through them in this sub-step.
-  KFN real kinematic_work(const Bodies& bodies) const {
-    real sum = real(0);
-    for (int k = 0; k < count && HAS_KINEMATIC_BODIES; ++k) sum += kinematic_work(bodies, k);
-    return sum;
-  }
-
+  // J, what kinematic bodies have done through spring k in this sub-step.
   KFN real kinematic_work(const Bodies& bodies, int k) const {
     if (!bodies.is_kinematic(list[k].a) && !bodies.is_kinematic(list[k].b)) return real(0);
     Pair taken = Pair::of_kinematic(bodies, list[k].a, list[k].b);
@@ -171,13 +168,7 @@ struct Springs {
     return taken.work_of_kinematic(bodies);
   }
 
-  // J, what they have added to the bodies' energy in this sub-step.
-  KFN real work(const Bodies& bodies) const {
-    real sum = real(0);
-    for (int k = 0; k < count; ++k) sum += work(bodies, k);
-    return sum;
-  }
-
+  // J, what it has added to the bodies' energy.
   KFN real work(const Bodies& bodies, int k) const {
     real speed = list[k].line(bodies).speed(Pair::of(bodies, list[k].a, list[k].b));
     return Math::max(list[k].impulse * speed, real(0));

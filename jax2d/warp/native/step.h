@@ -9,6 +9,7 @@ struct World {
   const Column& impulses;
   const IntColumn& keys;
   Bodies bodies;
+  Velocities at_detection;  // when contacts were found; in a bounce, before anything bounced
   Geometry geometry;
   Contacts contacts;
   Joints joints;
@@ -26,6 +27,7 @@ struct World {
 
   KFN void run(int num_steps, const IntColumn& out) {
     bodies.load(scene, ints, state);
+    if (SOFT_STEP) at_detection.keep(bodies, bodies.present);
     thrusters.load(scene, ints, controls, params);
     if (SWEEP) contacts.pairs.sweep.load(bodies);
     overflow = 0;
@@ -35,13 +37,13 @@ struct World {
       is_last_step = step == num_steps - 1;
       reports = REPORT_CONTACTS > 0 && is_last_step;
       if (reports) report.begin_step(out);
-      joints.load(bodies, scene, ints, params, impulses);
+      joints.load(bodies, scene, ints, params, impulses, step == 0);
       Bodies::clear(bodies.slowed);
       if (SOFT_STEP)
         soft_step();
       else
         paper_step();
-      joints.reset_slowed(bodies);
+      joints.springs.reset_slowed(bodies);
       joints.store(impulses);
       if (reports) report.end_step();
     }
@@ -64,140 +66,196 @@ struct World {
     int substeps = (int)(params.get(PARAM_SUBSTEPS));
     Vec2 gravity = scene.get2(SCENE_GRAVITY);
 
-    bool every_substep = false;  // contacts are found in each, where those found once would not hold
-    bool find = true, interrupted = false;
-    int interruptions = 0, max_passes = (int)(params.get(PARAM_IMPACT_PASSES));
+    // Bodies whose contacts are found next, those whose contacts are found in each sub-step, since those found once would not
+    // hold, those that have not moved yet in this sub-step, and those whose contacts were found for a sub-step alone.
+    unsigned int found[SHAPE_WORDS], every[SHAPE_WORDS], waiting[SHAPE_WORDS], brief[SHAPE_WORDS];
+    Bodies::copy(found, bodies.moving);
+    Bodies::copy(waiting, bodies.moving);
+    bool stopped = false;  // `found` were, before they moved: forces have acted, and only they are solved
+    int stops = 0, max_passes = (int)(params.get(PARAM_IMPACT_PASSES));
     for (int substep = 0; substep < substeps;) {
       // Each function is called once: what is inlined twice is twice the code.
-      real left = every_substep ? h : h * (real)(substeps - substep);
-      if (find) {
-        bodies.begin_step(first);
-        geometry.build(scene, ints, bodies, first);
-        geometry.predict_travel(bodies, left, h);
+      bool all = substep == 0 && !stopped;
+      if (all || Bodies::any(found)) {
+        if (!all) bodies.end_step(found);
+        bodies.begin_step(first, found);
+        geometry.build(scene, ints, bodies, first, found);
+        geometry.predict_travel(bodies, found, all ? h * (real)(substeps) : h, h);
+        for (int word = 0; word < SHAPE_WORDS; ++word) brief[word] = all ? 0u : brief[word] | found[word];
+        at_detection.keep(bodies, found);
         first = false;
-        contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, left, true, !interrupted);
-        joints.prepare(bodies, scene, controls, params, h);
-        islands.find(bodies, contacts, joints);
-        if (substep == 0 && !interrupted) every_substep = contacts.each_substep;
+        contacts.find(bodies, geometry, scene, ints, params, keys, impulses, reach, geometry.ahead, true, !stopped, all, found);
+        overflow += contacts.overflow;
+        joints.prepare(bodies, found, scene, controls, params, h);
+        islands.find(bodies, contacts, joints, found);
+        if (all) {
+          Bodies::copy(every, contacts.unsteady);
+          if (Bodies::any(every)) islands.complete_groups(bodies, contacts, joints, every);
+        }
         if (contacts.may_bounce) {
-          bounces.begin(bodies, gravity, h);
-          if (interrupted) bounces.max_energy -= carried_work(h);  // bodies have had these impulses already
+          bounces.begin(bodies, islands, found, gravity, h);
+          if (stopped) add_carried_work(found, h, real(-1));  // bodies have had these impulses already
         }
         if (reports) report.begin(contacts);
       }
-      if (!interrupted) {
+      if (!stopped) {
         bodies.apply_gravity(gravity, h);
         thrusters.apply(bodies, h);
         ExternalForces::apply(bodies, controls, h);
         bodies.apply_damping(scene, h);
-        islands.begin(bodies, h);
-        joints.warm_start(bodies);
+        islands.begin(bodies);
+        joints.begin(bodies);
         contacts.warm_start(bodies);
         if (reports) report.warm_start(contacts);
       }
-      // Joints first, so that contacts have the last word: a heavy body must not push through a jointed light one.
-      // Where a speed limit takes back what stops a body, the rest of it is solved again.
+      // Joints, contacts, and joints again: so each has what the other answers.
+      // Where a speed limit takes back what stops a body, the rest of it is solved again with all of its island.
       // And where something hits, until all that it reaches has its share.
-      bool was_limited = false;
-      contacts.active.begin();
+      unsigned int solved[SHAPE_WORDS], passed[SHAPE_WORDS], anew[SHAPE_WORDS];
+      for (int word = 0; word < SHAPE_WORDS; ++word) solved[word] = passed[word] = stopped ? found[word] : bodies.moving[word];
+      contacts.active.begin(stopped, solved);
       for (int pass = 0;; ++pass) {
-        for (int joint_pass = 0; joint_pass < JOINT_PASSES; ++joint_pass) joints.solve_soft(bodies, soft, true, true, contacts.active);
-        contacts.solve_soft(bodies, soft, true, 0, false);
-        int before = bodies.limited;
-        bodies.limit_speeds(params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
-        bool is_limited = bodies.limited != before && contacts.count > 0 && pass < LIMITED_PASSES;
-        if (was_limited) bodies.limited = before;
-        was_limited |= is_limited;
-        bool is_shared_out = !contacts.active.repeat() || pass >= max_passes;
-        if (is_shared_out && !is_limited) break;
-        if (is_limited) contacts.active.begin();
+        for (int round = 0; round < 2; ++round) {
+          joints.solve_soft(bodies, soft, true, round == 0, contacts.active);
+          if (round == 0) contacts.solve_soft(bodies, soft, true, 0);
+        }
+        bool is_slowed = slow_down(passed, pass < LIMITED_PASSES, anew);
+        if (!SHARES_IMPACTS && !is_slowed) break;
+        if (!contacts.active.repeat(pass < max_passes, anew)) break;
+        Bodies::copy(passed, contacts.active.now);
+        islands.complete(bodies, passed);
       }
-      // Where a body would now go farther than was predicted, contacts are found again before anything moves.
-      interrupted = interruptions < MAX_INTERRUPTIONS && contacts.outruns_contacts(bodies, geometry, ints, reach, left);
-      if (interrupted) {
-        ++interruptions;
-      } else {
-        bodies.move(h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
-        ++substep;
+      // Islands of bodies that would now go farther than was predicted are stopped before they move: their contacts are found
+      // again, from here on in each sub-step.
+      unsigned int outrunning[SHAPE_WORDS], moving[SHAPE_WORDS], ending[SHAPE_WORDS];
+      real left = h * (real)(substeps - substep);
+      bool stops_now = stops < MAX_STOPS &&
+                       contacts.outruns_contacts(bodies, geometry, at_detection, ints, reach, h * (real)(substeps), left, h,
+                                                 {found, every, brief, waiting}, outrunning);
+      if (stops_now) islands.complete_groups(bodies, contacts, joints, outrunning);
+      for (int word = 0; word < SHAPE_WORDS; ++word) {
+        unsigned int out = stops_now ? outrunning[word] : 0u, ends = substep == substeps - 1 ? ~0u : every[word];
+        moving[word] = waiting[word] & ~out;
+        ending[word] = (moving[word] & ends) | (out & (waiting[word] | ~ends));
+        waiting[word] &= out;
+        outrunning[word] = out;
       }
-      find = interrupted || every_substep || substep == substeps;
-      relax(gravity, h, find);
-      if (find) {
-        bodies.limit_speeds(params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
-        bodies.end_step();
+      bodies.move(moving, h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
+      relax(gravity, h, solved, stopped, ending);
+      bodies.limit_speeds(ending, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
+      stopped = stops_now;
+      for (int word = 0; word < SHAPE_WORDS; ++word) {
+        every[word] |= outrunning[word];
+        found[word] = stopped ? outrunning[word] : every[word];
+        if (!stopped) waiting[word] = bodies.moving[word];
       }
+      stops = stopped ? stops + 1 : 0;
+      if (!stopped) ++substep;
     }
+    bodies.end_step(bodies.moving);
   }
 
-  // Solves without bias. The last time in a step what hit bounces: rounds go on until joints and other contacts have
-  // shared in it and every bounce has its speed. What the next step is warm-started with is from before, since a bounce
-  // does not last.
-  KFN void relax(Vec2 gravity, real h, bool is_last) {
+  // Limits speeds of bodies that have just been solved. `anew`: islands of those that this slows down, with contacts that
+  // have a say in it; True if there are any.
+  KFN bool slow_down(const unsigned int* solved, bool looks, unsigned int* anew) {
+    Bodies::clear(anew);
+    bool any = false;
+    for (Bodies::Each each = Bodies::Each::of(solved); each.next();) {
+      if (!bodies.limit_speed(each.shape, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED)) || !looks) continue;
+      Bodies::add(anew, each.shape);
+      any = true;
+    }
+    if (!any) return false;
+    unsigned int touching[SHAPE_WORDS];
+    Bodies::clear(touching);
+    for (int k = 0; k < contacts.count; ++k) bodies.add_dynamic(touching, contacts.list[k].a, contacts.list[k].b);
+    islands.complete(bodies, touching);
+    islands.complete(bodies, anew);
+    any = false;
+    for (int word = 0; word < SHAPE_WORDS; ++word) {
+      anew[word] &= touching[word];
+      any |= anew[word] != 0u;
+    }
+    return any;
+  }
+
+  // Solves bodies of `solved` without bias, others too unless `is_part`. Where contacts are `ending`, what hit bounces: rounds
+  // go on until joints and other contacts of its island have shared in it and every bounce has its speed. What the next step
+  // is warm-started with is from before, since a bounce does not last.
+  KFN void relax(Vec2 gravity, real h, const unsigned int* solved, bool is_part, const unsigned int* ending) {
     int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
-    bool bouncing = false, friction_applied = false;
+    bool bouncing = false;
     int repeats = 0, energy_passes = 0;
-    contacts.active.begin();
-    real carried = real(0);
+    unsigned int gaining[SHAPE_WORDS], none[SHAPE_WORDS], hit[SHAPE_WORDS];
+    Bodies::clear(none);
+    Bodies::copy(gaining, solved);
+    contacts.active.begin(is_part, solved);
     for (int round = 0; round <= rounds; ++round) {
-      int joint_passes = round == 0 ? 1 : JOINT_PASSES_OF_BOUNCE;
-      bool with_friction = round > 0 && !friction_applied && (contacts.converged || round == rounds);
-      for (int pass = 0; pass < joint_passes; ++pass) joints.solve_soft(bodies, soft, false, round == 0, contacts.active);
-      contacts.solve_soft(bodies, soft, false, round, with_friction);
-      if (round == 0) {  // joints and other contacts share in an impact
-        if (contacts.active.repeat() && repeats++ < (int)(params.get(PARAM_IMPACT_PASSES))) {
-          --round;
-          continue;
-        }
-        contacts.active.begin();
-        bool would_reset = energy_passes + 1 == ENERGY_PASSES_BEFORE_RESET;
-        if (energy_passes < ENERGY_PASSES && gains_energy(h, would_reset ? RESET_GAIN : real(0), energy_passes > 0)) {
-          ++energy_passes;
-          contacts.active.is_restricted = true;
-          if (would_reset) islands.reset_impulses(bodies, contacts, joints, contacts.active.only);
-          --round;
-          continue;
-        }
+      // Joints are not relaxed, since with bias they have the velocities that keep anchors together; but where an island
+      // has gained energy they share in what takes it back.
+      if (round == 0 && energy_passes == 0) {
+        joints.springs.solve(bodies, soft, false, true, contacts.active);
+      } else {
+        joints.solve_soft(bodies, soft, false, true, contacts.active);
       }
+      contacts.solve_soft(bodies, soft, false, round);
       if (round > 0) {
-        if (friction_applied && contacts.converged) break;
-        friction_applied |= with_friction;
+        if (!bounces.end_round(bodies, contacts, islands, round + 1 == rounds)) break;
+        continue;
+      }
+      // Joints and other contacts share in an impact.
+      if (SHARES_IMPACTS && contacts.active.repeat(repeats++ < (int)(params.get(PARAM_IMPACT_PASSES)), none)) {
+        --round;
+        continue;
+      }
+      bool would_reset = energy_passes + 1 == ENERGY_PASSES_BEFORE_RESET;
+      bool of_gaining = is_part || energy_passes > 0;
+      if (energy_passes < ENERGY_PASSES && gains_energy(h, would_reset ? RESET_GAIN : real(0), of_gaining, gaining)) {
+        ++energy_passes;
+        repeats = 0;
+        contacts.active.begin(true, gaining);
+        if (would_reset) islands.reset_impulses(bodies, contacts, joints, gaining);
+        --round;
         continue;
       }
       if (contacts.may_bounce) {
-        bounces.max_energy += joints.motor_work(bodies) + thrusters.work(bodies, h);
-        bounces.max_energy += ExternalForces::work(bodies, controls, h);
-        carried = carried_work(h);
-        bounces.max_energy += carried;
+        bounces.add_work(bodies, joints, thrusters, controls, islands, solved, h);
+        add_carried_work(solved, h, real(1));
       }
-      if (reports) report.add(contacts, real(1));
-      if (!is_last) break;
-      if (contacts.may_bounce) bouncing = contacts.begin_bounces(bodies, params, gravity, h);
-      if (HAS_RESTITUTION && bouncing && contacts.passes_impacts_on()) {
-        bounces.swap_velocities(bodies);
-        bouncing = contacts.propagate_impacts(bodies);
-        bounces.swap_velocities(bodies);
+      if (reports) report.add(contacts);
+      if (!Bodies::any(ending)) break;
+      if (contacts.may_bounce && contacts.begin_bounces(bodies, params, gravity, h, ending, hit)) {
+        islands.complete(bodies, hit);
+        bounces.pass_impacts_on(bodies, at_detection, contacts, islands, hit);
+        bouncing = bounces.begin_rounds(bodies, contacts, islands, hit, rounds == 1);
+        if (bouncing) at_detection.keep(bodies, contacts.active.now);
       }
       finish_contacts();
       if (!bouncing) break;
-      contacts.converged = false;
-      bounces.keep_velocities(bodies);
       joints.store(impulses);
     }
     if (!bouncing) return;
-    real share = bounces.limit(bodies, gravity, h, carried_work(h) - carried);
-    if (reports) report.add(contacts, share);
+    islands.add_carried_work(bodies, contacts, joints, h, real(-1), islands.gain);
+    bounces.limit(bodies, at_detection, contacts, islands, hit, gravity, h, islands.gain);
+    for (int k = 0; k < contacts.count && reports; ++k)
+      report.add(contacts.list[k], k, islands.gain[islands.of(bodies, contacts.list[k].a, contacts.list[k].b)]);
     joints.load_impulses(impulses);
+    contacts.load_impulses(impulses, hit);
   }
 
-  // More than `spare` J/kg; `again`: of islands that did so before.
-  KFN bool gains_energy(real h, real spare, bool again) {
-    if (contacts.count == 0 && !(HAS_JOINT_LIMITS && joints.count > 0)) return false;
-    return islands.find_gains(bodies, contacts, joints, h, spare, again, contacts.active.only);
+  // What moving surfaces and kinematic bodies have done to islands of `which` in this sub-step, times `share`; all of it is
+  // left in `islands.gain`.
+  KFN void add_carried_work(const unsigned int* which, real h, real share) {
+    for (int i = 0; i < ISLAND_SHAPES; ++i) islands.gain[i] = real(0);
+    islands.add_carried_work(bodies, contacts, joints, h, real(1), islands.gain);
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();)
+      bounces.max_energy[each.shape] += share * islands.gain[each.shape];
   }
 
-  // J, what moving surfaces and kinematic bodies have done in this sub-step.
-  KFN real carried_work(real h) const {
-    return contacts.surface_work(bodies, h) + joints.kinematic_work(bodies);
+  // More than `spare` J/kg; `of_gaining`: of the islands in it alone.
+  KFN bool gains_energy(real h, real spare, bool of_gaining, unsigned int* gaining) {
+    if (contacts.count == 0) return false;
+    return islands.find_gains(bodies, contacts, joints, h, spare, of_gaining, gaining);
   }
 
   // Notes who touched, and keeps the impulses for the contacts found next.
@@ -205,19 +263,19 @@ struct World {
     record_touches();
     if (reports) report.locate(bodies, contacts);
     contacts.store(keys, impulses);
-    overflow += contacts.overflow;
   }
 
   // The main loop of the paper's appendix (algorithm 1), constraints solved one after another.
   KFN void paper_step() {
     real dt = params.get(PARAM_DT);
     int iterations = (int)(params.get(PARAM_SUBSTEPS));
-    bodies.begin_step(first);
+    bodies.begin_step(first, bodies.moving);
     bodies.apply_gravity(scene.get2(SCENE_GRAVITY), dt);
-    geometry.build(scene, ints, bodies, first);
+    geometry.build(scene, ints, bodies, first, bodies.moving);
     first = false;
-    contacts.find(bodies, geometry, scene, ints, params, keys, impulses, real(0), dt, false, true);
-    joints.prepare(bodies, scene, controls, params, dt);
+    contacts.find(bodies, geometry, scene, ints, params, keys, impulses, real(0), dt, false, true, true, bodies.moving);
+    overflow += contacts.overflow;
+    joints.prepare(bodies, bodies.moving, scene, controls, params, dt);
     PaperJoints paper = {joints};
     paper.apply_motors(bodies, scene, controls, params);
     thrusters.apply(bodies, dt);
@@ -230,10 +288,10 @@ struct World {
       paper.solve(bodies, params);
       contacts.solve_hard(bodies, correction_rate, slop);
     }
-    bodies.move(dt, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
-    if (reports) report.add(contacts, real(1));
+    bodies.move(bodies.moving, dt, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
+    if (reports) report.add(contacts);
     finish_contacts();
-    bodies.end_step();
+    bodies.end_step(bodies.moving);
   }
 
   // Shapes touch when their contact carried an impulse in the step or they overlap.

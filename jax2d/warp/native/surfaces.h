@@ -33,6 +33,13 @@ struct Surfaces {
     rolling_impulse[k] = total;
   }
 
+  KFN void move(int from, int to) {
+    if (HAS_SURFACE_SPEED) speed[to] = speed[from];
+    if (!HAS_ROLLING_RESISTANCE) return;
+    rolling_arm[to] = rolling_arm[from];
+    rolling_impulse[to] = rolling_impulse[from];
+  }
+
   KFN void reset_impulses(int k) {
     if (HAS_ROLLING_RESISTANCE) rolling_impulse[k] = real(0);
   }

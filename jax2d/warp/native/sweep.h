@@ -30,7 +30,8 @@ struct Sweep {
 
   KFN void find(const Bodies& bodies, const Geometry& geometry, real reach, bool ahead) {
     for (int i = 0; i < SWEEP_SHAPES; ++i) used[i] = 0u;
-    for (int k = 0; k < count; ++k) widen(bodies, geometry, sorted[k].shape, reach, ahead);
+    Vec2 common = mean_velocity(bodies);
+    for (int k = 0; k < count; ++k) widen(bodies, geometry, sorted[k].shape, common, reach, ahead);
     bool along_x = fewer_overlap_along_x();
     for (int k = 0; k < count; ++k) sorted[k].begin = along_x ? lower[sorted[k].shape].x : lower[sorted[k].shape].y;
     sort();
@@ -45,13 +46,20 @@ struct Sweep {
         if (low[other] <= high[k] && high[other] >= low[k]) mark(sorted[k].shape, sorted[other].shape);
   }
 
-  // Margins of pairs are at most the sum of both shapes' shares: half the reach, and how far the surface moves.
-  KFN void widen(const Bodies& bodies, const Geometry& geometry, int i, real reach, bool ahead) {
-    real share = real(0.5) * reach;
-    if (ahead && geometry.predicted_travel[i] > real(0)) share += geometry.predicted_travel[i];  // not a number: no pair has such a margin
+  KFN Vec2 mean_velocity(const Bodies& bodies) const {
+    Vec2 sum = {real(0), real(0)};
+    for (int k = 0; k < count; ++k) sum = sum + bodies.velocity(sorted[k].shape);
+    return sum * Fast::reciprocal((real)(count > 0 ? count : 1));
+  }
+
+  // Margins of pairs are at most the sum of both shapes' shares: half the reach, and how far the surface moves against
+  // what moves at the `common` velocity, whichever that is.
+  KFN void widen(const Bodies& bodies, const Geometry& geometry, int i, Vec2 common, real reach, bool ahead) {
+    real share = real(0.5) * reach, way = common.length() * geometry.ahead;
+    if (ahead) share += (bodies.velocity(i) - common).length() * geometry.ahead + geometry.swing[i];
     Vec2 at = bodies.position[i];
     // Neither search does sixteen roundings.
-    real rounding = (Math::abs(at.x) + Math::abs(at.y) + geometry.extent[i] + share) * SWEEP_ROUNDING;
+    real rounding = (Math::abs(at.x) + Math::abs(at.y) + geometry.extent[i] + share + (ahead ? way : real(0))) * SWEEP_ROUNDING;
     share += rounding;
     lower[i] = at + geometry.lower[i] - Vec2{share, share};
     upper[i] = at + geometry.upper[i] + Vec2{share, share};

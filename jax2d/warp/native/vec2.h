@@ -86,6 +86,18 @@ struct Rotation {
   }
 };
 
+// Change of a rotation that turns by a small angle, as Rotation::turned has it.
+struct Turn {
+  real c, s;  // cosine less 1, sine
+  KFN static Turn by(real angle) {
+    real half = real(0.5) * angle * angle;
+    real dc = real(1) - half, ds = angle * (real(1) - half * real(0.33333334));
+    real inverse_length = Fast::reciprocal_root(Fused::of(dc, dc, ds * ds));
+    return {Fused::of(dc, inverse_length, real(-1)), ds * inverse_length};
+  }
+  KFN Vec2 chord(Vec2 v) const { return (v * c).plus(v.left(), s); }
+};
+
 // Shapes are numbered without the polygon slots that no scene of this kernel uses; a slot is where a shape stands in the
 // tables. A kernel for all slots numbers them alike.
 struct Slot {
@@ -110,6 +122,37 @@ struct Math {
 #else
     return __builtin_ctz(word);
 #endif
+  }
+};
+
+// Sets of numbers, a bit each, in so many words. `words` is a constant: a set of one word can be in a register.
+struct Bits {
+  static KFN int word_of(int i, int words) { return words == 1 ? 0 : i / 32; }
+  static KFN void add(unsigned int* set, int words, int i) { set[word_of(i, words)] |= 1u << (i % 32); }
+  static KFN void remove(unsigned int* set, int words, int i) { set[word_of(i, words)] &= ~(1u << (i % 32)); }
+  static KFN bool has(const unsigned int* set, int words, int i) {
+    return (set[word_of(i, words)] >> (i % 32) & 1u) != 0u;
+  }
+  static KFN void clear(unsigned int* set, int words) {
+    for (int word = 0; word < words; ++word) set[word] = 0u;
+  }
+};
+
+// The numbers of a set, one after another.
+struct EachBit {
+  const unsigned int* set;
+  int words, word;
+  unsigned int left;
+  KFN static EachBit of(const unsigned int* set, int words) { return {set, words, 0, set[0]}; }
+  // Goes to the next; false after the last.
+  KFN bool next(int& number) {
+    while (left == 0u) {
+      if (++word >= words) return false;
+      left = set[word];
+    }
+    number = word * 32 + Math::lowest_bit(left);
+    left &= left - 1u;
+    return true;
   }
 };
 

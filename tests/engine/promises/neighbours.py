@@ -60,6 +60,18 @@ def welded_tree() -> Plan:
     return Plan((box(**FLOOR), *boxes), tuple(joints))
 
 
+def dumbbell() -> Plan:
+    """Two discs welded to a bar, dropped aslant: they bounce together with e = 1."""
+    elastic = {"restitution": 1.0}
+    bodies = (
+        box(**FLOOR, options=elastic),
+        box(0.8, 0.1, (0, 1.2), angle=0.4, options=elastic),
+        *(disc(0.15, (side * 0.4 * np.cos(0.4), 1.2 + side * 0.4 * np.sin(0.4)), options=elastic) for side in (-1, 1)),
+    )
+    joints = [Joint(kind="weld", a=1, b=b, at=bodies[b].position) for b in (2, 3)]
+    return Plan(bodies, tuple(joints))
+
+
 def jam() -> Plan:
     """A disc deep in a fixed box and in a fixed disc, hinged to a free box."""
     bodies = (
@@ -85,6 +97,16 @@ def stirrer() -> Plan:
     return Plan((box(**FLOOR), *walls, bar, *balls))
 
 
+def billiards() -> Plan:
+    """A disc that hits a row of three at 80 m/s, e = 1, between four walls."""
+    elastic = {"restitution": 1.0}
+    sides = [box(1.0, 4.0, (side * 3.0, 1.5), fixed=True, options=elastic) for side in (-1, 1)]
+    lids = [box(7.0, 1.0, (0, y), fixed=True, options=elastic) for y in (-0.5, 3.5)]
+    row = [disc(0.2, (0.41 * k, 0.21), options=elastic) for k in range(3)]
+    cue = disc(0.2, (-2.0, 0.3), velocity=(80.0, 0.0), options=elastic)
+    return Plan((*sides, *lids, *row, cue))
+
+
 def empty_slots() -> Plan:
     """A box and a disc, whose slots are made inactive."""
     return Plan((box(0.3, 0.3), disc(0.2, (1, 1))))
@@ -96,12 +118,14 @@ ISLANDS: dict[str, Callable[[], Plan]] = {
     "pendulum": pendulum,
     "car": car,
     "welded tree": welded_tree,
+    "dumbbell": dumbbell,
 }
 NEIGHBOURS: dict[str, Callable[[], Plan]] = {
     "jam": jam,
     "spinner": fast_spinner,
     "stirrer": stirrer,
     "bouncing disc": bouncing_disc,
+    "billiards": billiards,
     "empty slots": empty_slots,
 }
 
