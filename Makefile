@@ -2,7 +2,7 @@
 # Everything is installed into .venv; `make install` is repeated only when the lock or pyproject.toml changes.
 
 .DEFAULT_GOAL := help
-.PHONY: help install train test test-long test-slow test-gpu test-newer-jax test-faults test-faults-long check check-web browser vendor format lock docs bench-engine bench-engine-peers bundle clean
+.PHONY: help install train test test-long test-slow test-gpu test-newer-jax test-faults test-faults-long check check-web browser vendor glossary format lock docs bench-engine bench-engine-peers bundle clean
 .SUFFIXES:
 
 # Choose the interpreter with `make PYTHON=/path/to/python3.12 ...`; empty: the first of python3.12, 3.13, 3.11, python3
@@ -31,6 +31,7 @@ help:
 	@echo "make check-web     the pages' scripts through the type checker of TypeScript  (from the npm registry)"
 	@echo "make browser       a headless Chromium for tests of the pages                (from the npm registry)"
 	@echo "make vendor        renew the libraries that the pages use"
+	@echo "make glossary      renew the glossary of the pages from docs/glossary.md"
 	@echo "make check         install, then ruff and the type checker only"
 	@echo "make install       .venv with the pinned packages and this one (editable)"
 	@echo "make bench-engine  physics steps per second on this machine   (bench-engine-peers: next to the published engine)"
@@ -72,6 +73,9 @@ $(BROWSER)/chromium: $(WEB_STAMP) .ci/web/unpack_chromium.mjs
 
 vendor: $(WEB_STAMP)
 	$(BIN)/python .ci/web/vendor.py "$(WEB)/node_modules"
+
+glossary: $(STAMP)
+	$(BIN)/python .ci/web/glossary.py
 
 format: $(STAMP)
 	$(BIN)/ruff check --fix-only .
@@ -127,7 +131,7 @@ bench-engine-peers: $(STAMP)
 
 # The lock holds versions and hashes only: whoever installs chooses the registry.
 lock: $(STAMP)
-	$(BIN)/uv pip compile pyproject.toml --extra dev --extra wrappers --extra docs --universal --python-version 3.11 --generate-hashes \
+	$(BIN)/uv pip compile pyproject.toml --extra dev --extra wrappers --extra tensorboard --extra docs --universal --python-version 3.11 --generate-hashes \
 		--no-header --no-annotate --upgrade --output-file requirements.lock
 
 # For machines of the same Python, system and processor that have no network: bash dist/bundle/install.sh VENV

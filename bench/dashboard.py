@@ -2,9 +2,12 @@
 
     python bench/dashboard.py [--browser .cache/browser/chromium] [--json FILE]
 
-Runs are written by training's own sink: 20 of 2,000 updates, one of 200,000. `page` is from the request to a drawn
-chart, `row` from a row on disk to its number on the page, `cpu_share` that of one core over 20 s with one run that gets
-a row a second and a page that watches it.
+Runs are written by training's own sink: 20 of 2,000 updates, one of 200,000. The 20 have the refreshes, counts and
+evaluations of `sfl_s`. `page` is from the request to a drawn chart, `verdict` to the heading of a run that was not read
+before, `row` from a row on disk to its number on the page, `cpu_share` that of one core over 20 s with one run that
+gets a row a second and a page that watches it. `scrolling` is of the evaluation page
+with 256 levels x 100 evaluations, two rows further with each frame: frames per second, and the share of frames that
+showed a row that was not there.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 
 from bench.program import exit_code, output_file, parser_of
@@ -30,6 +34,8 @@ from kinetix_dist.child_python import command_of
 from kinetix_dist.config import to_dict
 from kinetix_dist.errors import UserError
 from kinetix_dist.recipes import recipe
+from kinetix_dist.telemetry.curriculum_log import DIRECTORY, OUTCOMES, REFRESH, write_snapshot
+from kinetix_dist.telemetry.json_lines import append_line
 from kinetix_dist.telemetry.names import METRICS
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
 
@@ -39,6 +45,29 @@ LIVE_SECONDS = 20
 STEPS = 10_000  # of an update: 1.01 M, 1.02 M, ... from the 101st on, which the page distinguishes
 FIRST_LIVE = 100  # updates of the live run before it is watched
 NAMES = [name for name in METRICS if "<" not in name and not name.startswith("progress/")][:44]  # rows of 1.2 kB
+VERDICT = ".verdict[data-state]"
+NUM_CANDIDATES, NUM_CHOSEN, REFRESH_EVERY, OUTCOMES_EVERY = 12_288, 1024, 128, 16
+NUM_LEVELS, NUM_EVALUATIONS, ATTEMPTS = 256, 100, 16
+SCROLL_SECONDS = 8
+SCROLL = """(milliseconds) => new Promise((done) => {
+  const matrix = document.querySelector(".matrix");
+  const box = matrix.getBoundingClientRect();
+  let begin = null, last = null, step = 52, missing = 0;
+  const gaps = [];
+  const frame = (now) => {
+    begin ??= now;
+    if (last !== null) gaps.push(now - last);
+    last = now;
+    const shown = document.elementFromPoint(box.left + 20, box.top + box.height / 2);
+    missing += !shown?.closest(".matrix-row");
+    const before = matrix.scrollTop;
+    matrix.scrollTop += step;
+    if (matrix.scrollTop === before) step = -step;
+    if (now - begin < milliseconds) requestAnimationFrame(frame);
+    else done({ gaps, missing });
+  };
+  requestAnimationFrame(frame);
+})"""
 DRAWN = "() => document.querySelectorAll('.chart canvas').length > 3"
 CHECKOUT = Path(__file__).resolve().parent.parent
 
@@ -57,6 +86,44 @@ def write_run(run: Path, updates: int) -> Path:
     (run / "config.json").write_text(json.dumps({"hash": config.hash, "config": to_dict(config)}))
     write_rows(run, 1, updates)
     return run
+
+
+def write_judged(run: Path, updates: int) -> None:
+    """Evaluations, refreshes and counts of training, as many and as large as those of `sfl_s`."""
+    chance = np.random.default_rng(0)
+    for update in range(0, updates + 1, 100):
+        sets = {
+            name: {"names": [f"{name}_{k}" for k in range(256)], "solved": [1] * 128 + [0] * 128, "attempts": 1}
+            for name in ("random_s", "designed_s")
+        }
+        row = {"format": 1, "phase": "training" if update else "before", "update": update, "reported_at": update}
+        append_line(run / "evaluations.jsonl", row | {"env_steps": STEPS * update, "sets": sets})
+    (run / DIRECTORY).mkdir()
+    for update in range(0, updates, OUTCOMES_EVERY):
+        version = update - update % REFRESH_EVERY
+        if update == version:
+            write_snapshot(run / DIRECTORY, REFRESH, version, _refresh(version, chance))
+        attempts = chance.integers(0, 32, NUM_CHOSEN)
+        row = {"format": 2, "update": update + OUTCOMES_EVERY, "from_update": update, "buffer": version}
+        counts = {"solved": chance.binomial(attempts, 0.5).tolist(), "attempts": attempts.tolist()}
+        sources = {"fresh": {"solved": 6000 + update, "attempts": 16_384}}
+        append_line(run / DIRECTORY / OUTCOMES, row | counts | {"sources": sources})
+
+
+def _refresh(version: int, chance: np.random.Generator) -> dict[str, Any]:
+    finished = chance.integers(2, 9, NUM_CANDIDATES).astype(np.int32)
+    solved = chance.binomial(finished, chance.choice([0.0, 0.5, 1.0], NUM_CANDIDATES)).astype(np.int32)
+    features = chance.integers(0, 9, (NUM_CANDIDATES, 6)).astype(np.uint8)
+    chosen = np.argsort(-solved * (finished - solved), kind="stable")[:NUM_CHOSEN]
+    return {
+        "curriculum": np.str_("sfl"), "size": np.str_("s"), "policy_version": np.int32(version),
+        "written_after": np.int32(version), "first_batch": np.int32(version), "scoring_seconds": np.float64(1.0),
+        "level_id": chosen.astype(np.uint64) + np.uint64(100_000 * version),
+        "score": np.zeros(NUM_CHOSEN, np.float32), "features": features[chosen],
+        "feature_names": np.array(["shapes", "joints", "motors", "thrusters", "fixed_shapes", "red_shapes"]),
+        "candidate": chosen.astype(np.int32), "solved": solved[chosen], "finished": finished[chosen],
+        "candidates/solved": solved, "candidates/finished": finished, "candidates/features": features,
+    }  # fmt: skip
 
 
 @contextmanager
@@ -99,6 +166,8 @@ def _measure(browser: Any, address: str, server: psutil.Process) -> dict[str, An
     result["runs_page_seconds"] = list_seconds
     overview = [seconds_to(f"#/run/run_{k}/overview", lambda: page.wait_for_function(DRAWN)) for k in range(REPEATS)]
     result["overview_page_seconds"] = overview
+    judged = [f"#/run/run_{REPEATS + k}/overview" for k in range(REPEATS)]  # none of them was read before
+    result["verdict_seconds"] = [seconds_to(view, lambda: page.wait_for_selector(VERDICT)) for view in judged]
     result["long_run_seconds"] = seconds_to("#/run/long/overview", lambda: page.wait_for_function(DRAWN))
     result["server_mib_after_long_run"] = server.memory_info().rss / 2**20
     return result
@@ -128,6 +197,49 @@ def measure_live(browser: Any, run: Path) -> dict[str, Any]:
             "cpu_share": used / (time.monotonic() - start),
             "server_mib": server.memory_info().rss / 2**20,
         }
+
+
+def write_evaluations(run: Path) -> Path:
+    """A run with evaluations of many levels, of which more and more are solved."""
+    write_run(run, NUM_EVALUATIONS)
+    names = [f"random_s_{k}" for k in range(NUM_LEVELS)]
+    for k in range(NUM_EVALUATIONS):
+        solved = [min(ATTEMPTS, k * level % 97 * ATTEMPTS // 97) for level in range(NUM_LEVELS)]
+        sets = {"random_s": {"names": names, "solved": solved, "attempts": ATTEMPTS}}
+        phase = "training" if k else "before"
+        row = {"format": 1, "phase": phase, "update": k, "env_steps": STEPS * k, "reported_at": k, "sets": sets}
+        append_line(run / "evaluations.jsonl", row)
+    return run
+
+
+def measure_scrolling(browser: Any, run: Path) -> dict[str, Any]:
+    with serving("--no-play", run) as (address, _):
+        page = browser.new_context(viewport={"width": 1600, "height": 900}, locale="en-US").new_page()
+        page.goto(address)
+        page.wait_for_selector("table.runs")
+        start = time.monotonic()
+        page.goto(address.split("?")[0] + f"#/run/{run.name}/evaluation")
+        page.wait_for_selector(".matrix canvas")
+        seconds = time.monotonic() - start
+        page.wait_for_load_state("networkidle")
+        cdp = page.context.new_cdp_session(page)
+        cdp.send("Performance.enable", {"timeDomain": "threadTicks"})  # CPU time, whatever else the machine does
+        before = _main_thread_seconds(cdp)
+        measured = page.evaluate(SCROLL, 1000 * SCROLL_SECONDS)
+        gaps = measured["gaps"]
+        return {
+            "evaluation_page_seconds": seconds,
+            "scrolling_frames_per_second": 1000 * len(gaps) / sum(gaps),
+            "scrolling_longest_frame_ms": max(gaps),
+            "scrolling_p95_frame_ms": sorted(gaps)[int(0.95 * len(gaps))],
+            "scrolling_main_thread_ms_per_frame": 1000 * (_main_thread_seconds(cdp) - before) / len(gaps),
+            "scrolling_missing_share": measured["missing"] / (len(gaps) + 1),
+        }
+
+
+def _main_thread_seconds(cdp: Any) -> float:
+    metrics = cdp.send("Performance.getMetrics")["metrics"]
+    return next(metric["value"] for metric in metrics if metric["name"] == "TaskDuration")
 
 
 def add_browser_argument(parser: argparse.ArgumentParser) -> None:
@@ -162,10 +274,11 @@ def run(arguments: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory() as folder, launched(arguments.browser) as browser:
         runs = Path(folder) / "runs"
         for k in range(NUM_RUNS):
-            write_run(runs / f"run_{k}", NUM_UPDATES)
+            write_judged(write_run(runs / f"run_{k}", NUM_UPDATES), NUM_UPDATES)
         long = write_run(Path(folder) / "long", NUM_LONG)
         live = write_run(Path(folder) / "live", FIRST_LIVE)
-        result = measure(browser, runs, long) | measure_live(browser, live)
+        evaluated = write_evaluations(Path(folder) / "evaluated")
+        result = measure(browser, runs, long) | measure_live(browser, live) | measure_scrolling(browser, evaluated)
     for name, value in result.items():
         shown = (
             f"{statistics.median(value):.3f} (median of {len(value)})" if isinstance(value, list) else f"{value:.3f}"

@@ -46,7 +46,7 @@ class PhysicsCounts:
 
     unstable: Array  # [W] int32, times that the world was not finite and was reset
     contact_overflow: Array  # [W] int32, contacts without a slot
-    speed_limited: Array  # [W] int32, times that a speed limit acted
+    speed_limited: Array  # [W] int32, bodies on which a speed limit acted, each once a physics step
     missing_effects: Array  # [W] int32, steps in which the engine lacked an effect
     invalid_actions: Array  # [W] int32, action numbers out of range
     invalid_rewards: Array  # [W] int32, rewards that were not finite

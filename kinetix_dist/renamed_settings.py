@@ -21,8 +21,9 @@ RENAMED: dict[str, str] = {
     "curriculum.generator.locomotion_kinds": "curriculum.generator.mechanism_families",
     "curriculum.generator.locomotion_weights": "curriculum.generator.mechanism_weights",
     "env.physics.blow_passes": "env.physics.impact_passes",
-    "env.physics.yielding_hertz_share": "env.physics.softened_hertz_share",
-    "env.physics.yielding_damping_ratio": "env.physics.softened_damping_ratio",
+    "env.physics.joint_hertz": "env.physics.spring_hertz",
+    "env.physics.joint_hertz_share": "env.physics.spring_hertz_share",
+    "env.physics.joint_damping_ratio": "env.physics.spring_damping_ratio",
 }
 
 # (path now, value before) -> value now; also of the entries of a list.
@@ -67,8 +68,13 @@ class Removed:
     off: tuple[Any, ...] | None = None  # values, as JSON, that changed no number; None: all of them
 
 
+_NO_SOFT_JOINTS = Removed(why="joints are solved as one system, none of them softer than others")
 # Path before -> why it is gone. Stored values that are off are left out.
 REMOVED: dict[str, Removed] = {
+    "env.physics.softened_hertz_share": _NO_SOFT_JOINTS,
+    "env.physics.softened_damping_ratio": _NO_SOFT_JOINTS,
+    "env.physics.yielding_hertz_share": _NO_SOFT_JOINTS,
+    "env.physics.yielding_damping_ratio": _NO_SOFT_JOINTS,
     "env.physics.published_details": Removed(why="details of the published package are for its tests", off=([], ())),
     "curriculum.learnable_only": Removed(why="it gained nothing", off=(False,)),
     "env.effect_groups": Removed(

@@ -65,6 +65,7 @@ def shortened(config: TrainConfig, num_updates: int) -> TrainConfig:
         config.run,
         total_env_steps=num_updates * config.rollout.steps_per_update,
         max_seconds=0.0,
+        stop_at=0.0,
         checkpoint_every=num_updates + 1,
     )
     return dataclasses.replace(config, run=run, evaluation=EVALUATION, recording=RecordingConfig(num_rollouts=0))

@@ -1,12 +1,14 @@
-"""`kinetix-dist edit [LEVEL|FILE|DIR]`: draws, checks and plays levels in a browser.
+"""`kinetix-dist edit [LEVEL|FILE|DIR|LINK]`: draws, checks and plays levels in a browser.
 
     kinetix-dist edit                   the gallery of designed levels; what is made is downloaded
     kinetix-dist edit s/hop_home        a designed level, likewise
     kinetix-dist edit mine.json         this file, which need not be there yet; it is saved there
     kinetix-dist edit my_levels/        the level files of this directory and its folders; they are saved there
+    kinetix-dist edit 'LINK'            the level of a link that any installation's editor gave; in quotes
 
-Nothing is written but the file, or files of the directory, that was named; a file that was changed elsewhere is left
-as it is until you say so. Buffers and policies of the runs below runs/ can be opened too, if there are some.
+Nothing is written but the file, or files of the directory, that was named, and what `teach it` and `solve it` make in
+the directory of --results; a file that was changed elsewhere is left as it is until you say so. Buffers and policies
+of the runs below runs/ can be opened too, if there are some.
 """
 
 from __future__ import annotations
@@ -24,8 +26,10 @@ from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.studio.server.app import ServerConfig
 from kinetix_dist.studio.server.editor_pages import EditorConfig
 from kinetix_dist.studio.server.level_files import SUFFIX, LevelFiles
+from kinetix_dist.studio.server.level_links import linked_level, read_link
 
 PAGE = "#/edit"
+RESULTS = EditorConfig().results
 
 
 @dataclasses.dataclass
@@ -33,14 +37,19 @@ class Args(ServerArgs):
     """Make, change, check and play levels in a browser."""
 
     level: Annotated[str | None, tyro.conf.Positional] = None
-    """A designed level, a level file (it may be new), or a directory of them; default: the gallery."""
+    """A designed level, a level file (it may be new), a directory of them, or a link; default: the gallery."""
+    results: Path = RESULTS
+    """The directory for levels, runs and proofs of `teach it` and `solve it`; made when it is needed."""
 
 
 def run(args: Args) -> int:
-    editor = editor_of(args.level)
-    return serve_pages(
-        "editor", args, ServerConfig(paths=(RUNS,) if RUNS.is_dir() else (), editor=editor, first_page=PAGE)
-    )
+    packed = None if args.level is None else linked_level(args.level)
+    if packed is not None:
+        read_link(packed)  # what is wrong with it is said here
+    editor = EditorConfig() if packed is not None else editor_of(args.level)
+    editor = dataclasses.replace(editor, results=args.results)
+    page = PAGE if packed is None else f"{PAGE}?level={packed}"
+    return serve_pages("editor", args, ServerConfig(paths=(), optional_paths=(RUNS,), editor=editor, first_page=page))
 
 
 def editor_of(given: str | None) -> EditorConfig:

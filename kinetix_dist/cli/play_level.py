@@ -15,7 +15,7 @@ from pathlib import Path
 import tyro
 
 from kinetix_dist.cli.dashboard import ServerArgs, serve_pages
-from kinetix_dist.cli.edit import PAGE, editor_of
+from kinetix_dist.cli.edit import PAGE, RESULTS, editor_of
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.studio.server.app import ServerConfig
@@ -31,6 +31,8 @@ class Play(ServerArgs):
     """A level file, or a designed level such as s/hop_home."""
     policy: str = "keys"
     """Player: "keys", "random", "noop", a pretrained policy such as generalist, or a run directory."""
+    results: Path = RESULTS
+    """The directory for levels, runs and proofs of `teach it` and `solve it`; made when it is needed."""
 
 
 def run_play(args: Play) -> int:
@@ -38,7 +40,7 @@ def run_play(args: Play) -> int:
     if not args.play:
         raise UserError("--no-play starts no engine, which playing needs; leave it out")
     plays, runs = _player(args.policy)
-    editor = dataclasses.replace(editor_of(_level_to_open(args.level)), plays=plays)
+    editor = dataclasses.replace(editor_of(_level_to_open(args.level)), plays=plays, results=args.results)
     return serve_pages("play", args, ServerConfig(paths=runs, editor=editor, first_page=PAGE))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from kinetix_dist.config.sections import RolloutConfig, RunConfig
+from kinetix_dist.config.sections import EvaluationConfig, RolloutConfig, RunConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.action_spaces import ACTION_SPACES
@@ -170,3 +170,12 @@ def check_generator(env: EnvConfig, curriculum: CurriculumConfig) -> None:
                 f"curriculum.generator.mechanism_families {named}: levels of size {size!r} have room for none; add one "
                 f"of {', '.join(fitting_families(list(FAMILIES), SIZES[size]))}, or use a larger size"
             )
+
+
+def check_stop(run: RunConfig, evaluation: EvaluationConfig) -> None:
+    """A solve rate that ends training is measured during training."""
+    if run.stop_at and not evaluation.is_during_training:
+        raise ConfigError(
+            f"run.stop_at is {run.stop_at:g}, but evaluation.every and every_seconds are 0: nothing is evaluated "
+            "during training; set one of them, or stop_at to 0"
+        )

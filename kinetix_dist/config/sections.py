@@ -8,6 +8,7 @@ import dataclasses
 import math
 
 from kinetix_dist.setting import ConfigError, check_settings, setting
+from kinetix_dist.telemetry.sinks import SINKS
 
 PLACEMENTS = ("local", "colocated", "split")
 DEVICES = ("auto", "cpu", "gpu")
@@ -128,6 +129,8 @@ class RunConfig:
     start_other_engine: bool = False  # also where it learned with other settings of the engine than this run
     total_env_steps: int = setting(0, minimum=0)  # after which training ends; 0: no such end
     max_seconds: float = setting(0.0, minimum=0)  # of training time, after which it ends; 0: no such end
+    warmup_counts: bool = True  # max_seconds has the first update of each session in it, which compiles
+    stop_at: float = setting(0.0, minimum=0, maximum=1)  # solve rate of each evaluation set that ends training; 0: none
     placement: str = setting("colocated", choices=PLACEMENTS)  # "local" (no ray), "colocated" or "split"
     device: str = setting("auto", choices=DEVICES)  # "auto" (gpu if there is one), "cpu" or "gpu"
     num_workers: int = setting(0, minimum=0)  # colocated: processes that play and learn; 0: one per GPU, on CPU one
@@ -147,11 +150,17 @@ class RunConfig:
     limits: LimitsConfig = dataclasses.field(default_factory=LimitsConfig)
     metrics_port: int = setting(0, minimum=0, maximum=LAST_PORT)  # on loopback, for Prometheus; 0: none
     stop_seconds: float = setting(25.0, minimum=0)  # after SIGTERM or Ctrl-C, until all has ended
+    sinks: tuple[str, ...] = ("tensorboard",)  # what gets metrics, evaluations and events, besides the run's own files
     plugins: tuple[str, ...] = ()  # modules that register parts of your own
     compile_cache: str = ""  # directory of compiled programs; "": the user's cache directory; "off": none
 
     def __post_init__(self) -> None:
         check_settings(self)
+        for name in self.sinks:
+            try:
+                SINKS[name]
+            except ValueError as error:
+                raise ConfigError(f"RunConfig.sinks: {error}") from None
         if self.num_cpu_rollout_actors > self.num_rollout_actors:
             raise ConfigError(
                 f"RunConfig.num_cpu_rollout_actors is {self.num_cpu_rollout_actors}, of num_rollout_actors "

@@ -56,6 +56,7 @@ class TrainConfig:
         checks.check_episode_lengths(rollout, env, curriculum, self.curriculum_class)
         checks.check_curators(run, curriculum, self.curriculum_class)
         checks.check_rollout_actors(run, rollout)
+        checks.check_stop(run, self.evaluation)
         if self.phases:
             self.check_batch()
             _ = self.refresh_times  # raises for phases that cannot run

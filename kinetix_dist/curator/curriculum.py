@@ -49,6 +49,10 @@ class Proposal:
     # [W] int32, for the counts of outcomes.jsonl: an index into `Curriculum.sources`, or their number + a slot of the
     # buffer (`num_slots`). None: all are of the first source.
     source: Array | None = None
+    # [W] int32: of a world whose fresh level another world of its group plays too, the number of that one in the group;
+    # -1: a level of its own. Of such pairs outcomes.jsonl has the learnability of fresh levels (`fresh_pairs.py`).
+    # None: there are none.
+    copy_of: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

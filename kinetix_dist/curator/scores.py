@@ -51,6 +51,26 @@ def learnability(num_solved: Array, num_finished: Array) -> Array:
     return p * (1.0 - p)
 
 
+def learnability_now(num_solved: np.ndarray, num_plays: np.ndarray) -> tuple[float, float]:
+    """(p (1 - p) of the levels of a buffer, its standard error) from plays [K] of one update; nan without a level that
+    was played twice.
+
+    Pairs of plays of a level differ with chance 2 p (1 - p). How often a level is played does not depend on p, and
+    levels that leave do so after this update: the estimate is unbiased, each level weighted by its pairs. Standard
+    error of a ratio of sums over levels (Cochran, Sampling Techniques, section 6.4).
+    """
+    differ = num_solved.astype(np.float64) * (num_plays - num_solved)
+    pairs = num_plays.astype(np.float64) * (num_plays - 1)
+    if not pairs.any():
+        return np.nan, np.nan
+    mean = differ.sum() / pairs.sum()
+    num_levels = int((pairs > 0).sum())
+    if num_levels < 2:
+        return mean, np.nan
+    variance = ((differ - mean * pairs) ** 2).sum() * num_levels / (num_levels - 1)
+    return mean, np.sqrt(variance) / pairs.sum()
+
+
 def exact_keys(num_solved: np.ndarray, num_finished: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Integers [n] in the order of learnability, and [n] in that of the solve rate; equal where these are equal.
 

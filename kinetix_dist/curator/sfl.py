@@ -21,6 +21,7 @@ from kinetix_dist import prng
 from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
+from kinetix_dist.curator.fresh_pairs import with_pair
 from kinetix_dist.curator.level_buffer import (
     Candidates,
     LevelBuffer,
@@ -105,15 +106,17 @@ class Sfl(Curriculum):
         num_buffered = num_from_buffer(self.tools.config, size)
         num_fresh = self.num_fresh(self.tools.config, size)
         split = jax.vmap(prng.split)(group_keys)
-        parts, sources = [], []
+        parts, sources, copy_of = [], [], None
         if num_buffered:
             levels, slots = jax.vmap(lambda key: draw(key, state, num_buffered))(split[:, 0])
             parts.append(levels)
             sources.append(len(self.sources) + slots)
         if num_fresh:
-            parts.append(by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups))
+            drawn = by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups)
+            levels, copy_of = with_pair(group_keys, drawn, num_buffered)
+            parts.append(levels)
             sources.append(jnp.full((num_groups, num_fresh), self.sources.index("fresh"), jnp.int32))
-        return Proposal(levels=join_by_group(*parts), source=join_by_group(*sources))
+        return Proposal(levels=join_by_group(*parts), source=join_by_group(*sources), copy_of=copy_of)
 
     def refresh_part(
         self, params: Any, policy_version: int, key: Array, part: int, num_parts: int, given: Any = None

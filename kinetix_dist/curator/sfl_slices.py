@@ -28,6 +28,7 @@ from kinetix_dist.checkpoint import select_arrays
 from kinetix_dist.curator.buffer_share import by_group, join_by_group, num_from_buffer
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
+from kinetix_dist.curator.fresh_pairs import is_copy, with_pair
 from kinetix_dist.curator.halving import Attempts, Halving
 from kinetix_dist.curator.level_buffer import Candidates, LevelBuffer, Scored, keep_best, refresh_log, scored
 from kinetix_dist.curator.scores import learnability
@@ -127,7 +128,7 @@ class SflSlices(Curriculum):
         num_fresh = self.num_fresh(self.tools.config, size)
         num_buffered = size - num_fresh
         split = jax.vmap(prng.split)(group_keys)
-        parts, tags, sources = [], [], []
+        parts, tags, sources, copy_of = [], [], [], None
 
         def add(levels: Level, slot: Array, version: Array, source: str) -> None:
             parts.append(levels)
@@ -140,8 +141,15 @@ class SflSlices(Curriculum):
             add(levels, slot, state.policy_version[slot], "buffer")
         if num_fresh:
             none = jnp.full((num_groups, num_fresh), NO_LEVEL, jnp.int32)
-            add(by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups), none, none, "fresh")
-        return Proposal(levels=join_by_group(*parts), tags=join_by_group(*tags), source=join_by_group(*sources))
+            drawn = by_group(self.tools.draw_fresh(split[:, 1], num_fresh), num_groups)
+            levels, copy_of = with_pair(group_keys, drawn, num_buffered)
+            add(levels, none, none, "fresh")
+        return Proposal(
+            levels=join_by_group(*parts),
+            tags=join_by_group(*tags),
+            source=join_by_group(*sources),
+            copy_of=copy_of,
+        )
 
     def observe(self, state: SliceBuffer, proposal: Proposal, outcome: LevelOutcome) -> SliceBuffer:
         config = self.tools.config.slices
@@ -150,7 +158,8 @@ class SflSlices(Curriculum):
         # In the split placement another level may have taken the slot since.
         is_there = ~is_fresh & (version == state.policy_version[slot])
         if config.num_harvested:
-            is_solved = is_fresh & (outcome.first_solved > 0)
+            # One candidate for each level, by one attempt: copies are left out.
+            is_solved = is_fresh & ~is_copy(proposal.copy_of) & (outcome.first_solved > 0)
             harvest = harvested(state.harvest, proposal.levels, is_solved, state.num_updates)
             state = dataclasses.replace(state, harvest=harvest)
         return played(state, slot, outcome.first_solved, is_there, config)

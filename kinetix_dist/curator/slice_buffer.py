@@ -22,7 +22,7 @@ from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.curator.config import SlicesConfig
 from kinetix_dist.curator.level_buffer import LevelBuffer
-from kinetix_dist.curator.scores import learnability, solve_rate
+from kinetix_dist.curator.scores import learnability, learnability_now, solve_rate
 from kinetix_dist.level.level import Level
 
 IN_USE, MASTERED, OUT_OF_REACH = 0, 1, 2  # `SliceBuffer.status`
@@ -176,26 +176,6 @@ def harvested(harvest: Harvest, levels: Level, is_solved: Array, num_updates: Ar
         levels=jax.tree.map(lambda new, old: jnp.concatenate([new, old])[newest], levels, harvest.levels),
         solved_at=solved_at[newest],
     )
-
-
-def learnability_now(num_solved: np.ndarray, num_plays: np.ndarray) -> tuple[float, float]:
-    """(p (1 - p) of the levels of a buffer, its standard error) from plays [K] of one update; nan without a level that
-    was played twice.
-
-    Pairs of plays of a level differ with chance 2 p (1 - p). How often a level is played does not depend on p, and
-    levels that leave do so after this update: the estimate is unbiased, each level weighted by its pairs. Standard
-    error of a ratio of sums over levels (Cochran, Sampling Techniques, section 6.4).
-    """
-    differ = num_solved.astype(np.float64) * (num_plays - num_solved)
-    pairs = num_plays.astype(np.float64) * (num_plays - 1)
-    if not pairs.any():
-        return np.nan, np.nan
-    mean = differ.sum() / pairs.sum()
-    num_levels = int((pairs > 0).sum())
-    if num_levels < 2:
-        return mean, np.nan
-    variance = ((differ - mean * pairs) ** 2).sum() * num_levels / (num_levels - 1)
-    return mean, np.sqrt(variance) / pairs.sum()
 
 
 def slice_metrics(buffer: SliceBuffer, num_updates: int) -> dict[str, Any]:

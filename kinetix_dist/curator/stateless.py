@@ -9,8 +9,9 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array
 from kinetix_dist import prng
-from kinetix_dist.curator.buffer_share import members
+from kinetix_dist.curator.buffer_share import by_group, join_by_group, members
 from kinetix_dist.curator.curriculum import Curriculum, CurriculumTools, Proposal
+from kinetix_dist.curator.fresh_pairs import with_pair
 from kinetix_dist.level.level import Level
 
 
@@ -46,5 +47,7 @@ class DomainRandomization(Curriculum):
 
     def propose(self, state: Any, group_keys: Array, groups: Array) -> Proposal:
         del state, groups
-        fresh_keys = jax.vmap(prng.split)(group_keys)[:, 1]
-        return Proposal(levels=self.tools.draw_fresh(fresh_keys, self.tools.worlds_per_group))
+        fresh_keys, num_groups = jax.vmap(prng.split)(group_keys)[:, 1], group_keys.shape[0]
+        drawn = by_group(self.tools.draw_fresh(fresh_keys, self.tools.worlds_per_group), num_groups)
+        levels, copy_of = with_pair(group_keys, drawn)
+        return Proposal(levels=join_by_group(levels), copy_of=copy_of)

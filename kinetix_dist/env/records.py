@@ -56,5 +56,5 @@ class StepInfo:
     invalid_controls: Array  # [W] int32, controls that the engine found out of range or NaN
     invalid_scene: Array  # [W] int32, joints, thrusters and polygons of the level that make no sense to the engine
     contact_overflow: Array  # [W] int32, contacts that found no slot in the engine (0 unless built too small)
-    speed_limited: Array  # [W] int32, times that a speed limit of the physics acted
+    speed_limited: Array  # [W] int32, bodies on which a speed limit of the physics acted, each once a step
     missing_effects: Array  # [W] int32, what an engine made for fewer effects lacks, as bits: `Touching.missing`

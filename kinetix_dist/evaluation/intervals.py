@@ -20,10 +20,13 @@ estimated from survey data, 1998.) With few base levels, or rates near 0 and 1, 
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 Z_95 = 1.959963984540054  # 97.5 % quantile of the normal distribution: two-sided 95 %
+
+Estimate = tuple[float, float, float]  # value, and the ends of its interval
 
 
 def wilson_interval(num_successes: float, num_trials: int, z: float = Z_95) -> tuple[float, float]:
@@ -39,11 +42,14 @@ def wilson_interval(num_successes: float, num_trials: int, z: float = Z_95) -> t
     return _score_interval(num_successes / num_trials, num_trials, z)
 
 
-def interval_over_levels(solved: Sequence[int], attempts: int, base_levels: Sequence[str]) -> dict[str, Any] | None:
+def interval_over_levels(
+    solved: Sequence[int], attempts: int, base_levels: Sequence[str], comparisons: int = 1
+) -> dict[str, Any] | None:
     """{"low", "high", "base_levels", "levels": how many} of the solve rate on levels like these, 95 %; None for fewer
     than two base levels, which say nothing of others.
 
     solved: of each level, of `attempts`; base_levels: of each level, the one that it is a variant of, or itself.
+    comparisons: intervals that hold together (Bonferroni).
     """
     if attempts < 1 or any(not 0 <= count <= attempts for count in solved):
         raise ValueError(f"{list(solved)} of {attempts} attempts cannot have solved the levels")
@@ -61,7 +67,7 @@ def interval_over_levels(solved: Sequence[int], attempts: int, base_levels: Sequ
     binomial = rate * (1 - rate)
     # All or none solved: each base level is a trial. More than all attempts there cannot be.
     effective = min(binomial / variance, trials) if variance > 0 else (trials if binomial > 0 else count)
-    quantile = t_95(count - 1)
+    quantile = t_95(count - 1, comparisons)
     low, high = _score_interval(rate, effective, quantile)
     # Nearly all or none solved: the few levels that differ say nothing of the next one. Wide enough for base levels of
     # which all or none are solved.
@@ -77,11 +83,32 @@ def variance_of_ratio(sums: Collection[Sequence[float]], ratio: float) -> float:
     return squares / sum(size for _, size in sums) ** 2 * count / (count - 1)
 
 
-def t_95(degrees_of_freedom: float) -> float:
-    """97.5 % quantile of Student's t: two-sided 95 %."""
+def t_95(degrees_of_freedom: float, comparisons: int = 1) -> float:
+    """97.5 % quantile of Student's t: two-sided 95 %, of so many comparisons together (Bonferroni)."""
     from scipy.special import stdtrit  # heavy
 
-    return float(stdtrit(degrees_of_freedom, 0.975))
+    return float(stdtrit(degrees_of_freedom, 1 - 0.025 / comparisons))
+
+
+def z_95(comparisons: int = 1) -> float:
+    """The same quantile of the normal distribution."""
+    return statistics.NormalDist().inv_cdf(1 - 0.025 / comparisons)
+
+
+def difference_interval(estimate: Estimate, other: Estimate) -> Estimate:
+    """(difference, low, high) of two independent estimates (value, low, high), from the interval of each.
+
+    Unlike a difference of two normal estimates it is sensible near 0 and 1, since the intervals are. Where the two are
+    positively correlated, as two evaluations of the same levels, it is too wide rather than too narrow.
+    (R. G. Newcombe, Interval estimation for the difference between independent proportions, 1998, method 10.)
+    """
+    (value, low, high), (other_value, other_low, other_high) = estimate, other
+    difference = value - other_value
+    return (
+        difference,
+        difference - math.hypot(value - low, other_high - other_value),
+        difference + math.hypot(high - value, other_value - other_low),
+    )
 
 
 def for_readers(rate: Mapping[str, Any]) -> tuple[float, float]:

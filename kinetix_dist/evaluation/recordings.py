@@ -103,6 +103,7 @@ def _rollouts(
                 policy_version=policy_version,
                 seed=seed,
                 step_seconds=float(step_seconds),
+                action_names=env.action_space.action_names,
             )
         )
     return rollouts

@@ -131,6 +131,8 @@ def _alone(config: TrainConfig) -> TrainConfig:
         raise UserError(
             "run.start_optimizer is True, but specialists start with an optimiser of their own; leave it out"
         )
+    if config.run.stop_at:
+        raise UserError(f"run.stop_at is {config.run.stop_at:g}, but specialists end by --stop-at; set it to 0")
     if config.evaluation.every < 1:
         raise UserError(
             "evaluation.every is 0, but samples to a solve rate are counted by evaluations; give --evaluation.every 4"

@@ -10,6 +10,7 @@ wrong structure are left out of the second pass.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -27,11 +28,19 @@ from kinetix_dist.level.structure import (
 )
 from kinetix_dist.level.walls import WALL_CENTRES_M, WALL_NAMES
 
-__all__ = ["LevelFormatError", "check_polygon", "problems_of", "read_document", "validate_document"]
+__all__ = ["LevelFormatError", "MissingRoleError", "check_polygon", "problems_of", "read_document", "validate_document"]
 
 MIN_AREA_M2 = 1e-6  # a square of 1 mm
 MAX_ANCHOR_GAP_M = 0.3  # ends of a joint farther apart are a mistake; people draw gaps of 0.15 m in the web editor
 _PARTS = ("shapes", "joints", "thrusters")
+
+
+class MissingRoleError(LevelFormatError):
+    """No shape has a role that a level needs: of a level that is still drawn no mistake."""
+
+    def __init__(self, role: str, path: str, problem: str, remedy: str) -> None:
+        super().__init__(path, problem, remedy)
+        self.role = role
 
 
 def validate_document(document: Any, capacity: Capacity, size_name: str | None = None) -> None:
@@ -210,7 +219,8 @@ def _role_problems(document: dict[str, Any]) -> Iterator[LevelFormatError]:
     roles = Counter(holder.get("role", "none") for holder in holders)
     for role in ("green", "blue"):
         if roles[role] != 1:
-            yield LevelFormatError("shapes", f"{roles[role]} shapes are {role}", f"make exactly one shape {role}")
+            kind = LevelFormatError if roles[role] else functools.partial(MissingRoleError, role)
+            yield kind("shapes", f"{roles[role]} shapes are {role}", f"make exactly one shape {role}")
 
 
 def _room_problems(document: dict[str, Any], capacity: Capacity, size_name: str) -> Iterator[LevelFormatError]:

@@ -8,20 +8,18 @@ own, since all threads inherit these settings only when they are made before the
 
 from __future__ import annotations
 
-import ctypes
 import dataclasses
 import math
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
 
 from kinetix_dist.child_python import command_of
 from kinetix_dist.errors import UserError
+from kinetix_dist.parent_death import end_with_parent
 
 FREE_BELOW_MIB = 1024  # of memory in use: an idle GPU's driver holds some hundred at most
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _QUERY = ["nvidia-smi", "--query-gpu=index,uuid,memory.used", "--format=csv,noheader,nounits"]
 
 
@@ -108,10 +106,7 @@ def become(cores: str, parent: int, command: list[str]) -> None:
     """Becomes a `kinetix-dist` command on some cores, which gets SIGTERM when its parent dies."""
     if cores != "all":
         os.sched_setaffinity(0, {int(core) for core in cores.split(",")})
-    if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM) != 0:
-        sys.exit(f"prctl: {os.strerror(ctypes.get_errno())}")
-    if os.getppid() != parent:  # it died before this was set
-        sys.exit("the sweep is gone")
+    end_with_parent(parent, "the sweep")
     os.execv(sys.executable, command_of("kinetix_dist.cli.main", *command))
 
 

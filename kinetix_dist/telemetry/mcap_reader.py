@@ -7,6 +7,7 @@ one of their own, a finished file one of all its bytes.
 
 from __future__ import annotations
 
+import json
 import os
 import struct
 import zlib
@@ -20,9 +21,9 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd, Footer, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 
-from kinetix_dist.telemetry.recording import OUTCOMES, RecordedLevel, Recording, RecordingError, Rollout
+from kinetix_dist.telemetry.recording import OUTCOMES, ActionName, RecordedLevel, Recording, RecordingError, Rollout
 from kinetix_dist.telemetry.rollout_schema import Sizes, decode_messages
-from kinetix_dist.telemetry.sinks.mcap import FORMAT_VERSION, METADATA_NAME, metadata_checksum
+from kinetix_dist.telemetry.sinks.mcap import FORMAT_VERSION, METADATA_NAME, STEP_CHANNEL, metadata_checksum
 
 MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEAD = struct.Struct("<BQ")
@@ -97,7 +98,7 @@ class _Scan:
                 if opcode == Opcode.CHUNK:
                     chunk = Chunk.read(_stream(content))
                     for record in breakup_chunk(chunk, validate_crc=True):
-                        if isinstance(record, Message):
+                        if isinstance(record, Message) and record.channel_id == STEP_CHANNEL:
                             yield offset, record
                 elif opcode == Opcode.METADATA:
                     yield offset, Metadata.read(_stream(content))
@@ -170,5 +171,10 @@ def _rollout(
         policy_version=int(entries["policy_version"]),
         seed=int(entries["seed"]),
         step_seconds=float(entries["step_seconds"]),
+        action_names=tuple(_action_name(**entry) for entry in json.loads(entries.get("actions", "[]"))),
         is_complete=is_complete,
     )
+
+
+def _action_name(*, name: str, values: list[str]) -> ActionName:
+    return ActionName(name, tuple(values))

@@ -107,7 +107,7 @@ _ALL = (
     Metric("physics/unstable", PER_MILLION, "times that a world was not finite and was reset, with reward 0"),
     Metric("physics/unstable_worlds", "worlds", "the same as a number, in this update"),
     Metric("physics/contact_overflow", PER_MILLION, "contacts that found no slot in the engine and did nothing"),
-    Metric("physics/speed_limited", PER_MILLION, "times that a speed limit of the physics acted"),
+    Metric("physics/speed_limited", PER_MILLION, "bodies on which a speed limit acted, each once a step"),
     Metric(
         "physics/missing_effects", PER_MILLION, "environment steps in which an engine lacked what its level calls for"
     ),
@@ -132,9 +132,16 @@ _ALL = (
     Metric(
         "curriculum/learnability_now",
         "p(1-p)",
-        "of the levels that sfl_slices plays, from pairs of plays of the last update; nan without such a pair",
+        "of the levels of the buffer that sfl and sfl_slices play, without bias, from pairs of attempts of the last "
+        "update at the same level; nan without such a pair",
     ),
     Metric("curriculum/learnability_now_error", "p(1-p)", "its standard error, over levels"),
+    Metric(
+        "curriculum/fresh_learnability",
+        "p(1-p)",
+        "of fresh levels in training, without bias, from one pair of worlds a group (rollout.num_groups) that plays "
+        "the same level: the control of learnability_now; of few pairs, so average it over updates",
+    ),
     Metric("curriculum/in_use_share", "share", "of the levels in the buffer of sfl_slices, those that have not left"),
     Metric("curriculum/mastered_share", "share", "of the levels replaced so far, those that left as mastered"),
     Metric("curriculum/out_of_reach_share", "share", "of the levels replaced so far, those that were hardly solved"),
@@ -257,7 +264,7 @@ _ALL = (
     Metric(
         "telemetry/dropped_rows",
         "rows",
-        "rows of metrics that metrics.jsonl or TensorBoard did not take, since the start of this session",
+        "rows that metrics.jsonl or a sink (TensorBoard) did not take, since the start of this session",
     ),
     Metric(
         "telemetry/dropped_writes",
@@ -271,6 +278,11 @@ _ALL = (
     Metric("evaluation/<set>/solve_rate", "share", "first episodes solved on a level set"),
     Metric("evaluation/<set>/low", "share", "lower end of its 95 % Wilson interval"),
     Metric("evaluation/<set>/high", "share", "upper end of its 95 % Wilson interval"),
+    Metric(
+        "evaluation/<set>/random_actions",
+        "share",
+        "first episodes solved by random actions; before training, in TensorBoard and other sinks alone",
+    ),
 )
 
 # What a healthy run does not show: (when a metric is red, what to do then). Of roles, that of any.

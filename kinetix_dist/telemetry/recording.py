@@ -28,6 +28,25 @@ class RecordedLevel(Protocol):
         ...
 
 
+@dataclasses.dataclass(frozen=True)
+class ActionName:
+    """Name of one number of an action, and those of its values from 0 on; no values: a number in a range."""
+
+    name: str
+    values: tuple[str, ...] = ()
+
+    @property
+    def legend(self) -> str:
+        """The name with its values: "motor colour 0: 0 off, 1 forward, 2 backward"."""
+        values = ", ".join(f"{number} {value}" for number, value in enumerate(self.values))
+        return f"{self.name}: {values}" if values else self.name
+
+    def words(self, value: float) -> str:
+        """An action in words: "motor colour 0: forward"."""
+        is_named = value == int(value) and 0 <= value < len(self.values)
+        return f"{self.name}: {self.values[int(value)] if is_named else f'{value:g}'}"
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Rollout:
     """One attempt of `T` steps at a level of `n` shapes, `J` joints, `K` thrusters, `A` action dimensions."""
@@ -49,6 +68,7 @@ class Rollout:
     policy_version: int  # policy updates before this rollout; -1 for no policy (random actions)
     seed: int
     step_seconds: float  # simulated time of one step
+    action_names: tuple[ActionName, ...] = ()  # of each action dimension; none: an older recording
     is_complete: bool = True  # False: the end is missing, because the file it was read from is cut or damaged
 
     def __post_init__(self) -> None:
@@ -66,6 +86,14 @@ class Rollout:
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"Rollout.{name} has shape {getattr(self, name).shape}; this level needs {shape}")
+
+        if self.action_names and len(self.action_names) != self.actions.shape[1]:
+            raise ValueError(f"{len(self.action_names)} names for {self.actions.shape[1]} action dimensions")
+
+    @property
+    def names_of_actions(self) -> tuple[ActionName, ...]:
+        """Name of each action dimension; its number where the recording has no names."""
+        return self.action_names or tuple(ActionName(f"action {k}") for k in range(self.actions.shape[1]))
 
     @property
     def num_steps(self) -> int:

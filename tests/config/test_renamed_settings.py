@@ -33,7 +33,7 @@ from kinetix_dist.sweep.design import ArmOptions, Design, DesignError, Objective
 from tests.helpers import REPOSITORY
 from tests.runtime.runs import QuietReporter
 
-HASH_OF_PHASES, HASH_OF_PRETRAIN_ALL = "d7dbf060d5271524", "8ae412040a9e1d96"  # as of 59c92ad
+HASH_OF_PHASES, HASH_OF_PRETRAIN_ALL = "7b1e2d848873ada8", "2bda1323cac94881"  # with joint_correction
 PATHS = {"ppo.clip_range": "ppo.clip", "annealing": "ppo.anneal"}
 
 

@@ -18,8 +18,8 @@ def _nothing_solves_itself(levels):
     return jnp.zeros(levels.position.shape[0], bool)
 
 
-def propose(config, groups, buffer=None, noop_solved=_nothing_solves_itself, fixed_levels=None):
-    tools = {"solves_itself": noop_solved, "load_levels": lambda name: fixed_levels}
+def propose(config, groups, buffer=None, fixed_levels=None):
+    tools = {"solves_itself": _nothing_solves_itself, "load_levels": lambda name: fixed_levels}
     curriculum = curriculum_of(config, PER_GROUP, capacity=CAPACITY, **tools)
     groups = jnp.asarray(groups)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(3), groups)

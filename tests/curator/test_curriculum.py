@@ -45,19 +45,24 @@ def test_sfl_plays_measures_and_probes_all_levels_of_its_buffer(mixed_buffer):
     assert set(curriculum.probe(mixed_buffer, 6).index.tolist()) == set(range(6))
 
 
-def test_domain_randomization_never_repeats_a_level():
+def test_domain_randomization_repeats_one_level_of_each_group_and_no_other():
+    """That of its pair, see `fresh_pairs.py`."""
     levels = propose(CurriculumConfig(name="domain_randomization"), range(GROUPS))
-    assert len(np.unique(np.asarray(levels.position).reshape(GROUPS * PER_GROUP, -1), axis=0)) == GROUPS * PER_GROUP
+    positions = np.asarray(levels.position).reshape(GROUPS, PER_GROUP, -1)
+    assert [len(np.unique(group, axis=0)) for group in positions] == [PER_GROUP - 1] * GROUPS
+    assert len(np.unique(positions.reshape(GROUPS * PER_GROUP, -1), axis=0)) == GROUPS * (PER_GROUP - 1)
 
 
 def test_levels_that_solve_themselves_are_left_out_while_there_are_others():
-    config = CurriculumConfig(name="domain_randomization")
-    plain = propose(config, [0])
+    def draw(is_trivial):
+        def solves_itself(levels):
+            return is_trivial & (jnp.arange(levels.position.shape[0]) < 2)
 
-    def first_two_solve_themselves(levels):
-        return jnp.arange(levels.position.shape[0]) < 2
+        config = CurriculumConfig(name="domain_randomization")
+        curriculum = curriculum_of(config, PER_GROUP, capacity=CAPACITY, solves_itself=solves_itself)
+        return jax.jit(lambda keys: curriculum.tools.draw_fresh(keys, PER_GROUP))(jax.random.key(3)[None])
 
-    filtered = propose(config, [0], noop_solved=first_two_solve_themselves)
+    plain, filtered = draw(False), draw(True)
     np.testing.assert_allclose(filtered.position[:2], plain.position[2:], rtol=1e-5)  # of another program
 
 

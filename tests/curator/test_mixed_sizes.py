@@ -47,4 +47,9 @@ def test_fresh_levels_of_a_group_have_their_share_of_each_size(name):
     expected = np.asarray(drawn.position)[:, [0, 1, 2, 6]]
     assert curriculum.num_fresh(config, WORLDS[name]) == FRESH
     found = np.asarray(proposal.levels.position).reshape(2, WORLDS[name], *expected.shape[2:])
+    if proposal.copy_of is not None:  # one world of a group plays the level of another one
+        copy_of = np.asarray(proposal.copy_of).reshape(2, WORLDS[name])
+        assert (copy_of[:, :-FRESH] < 0).all() and (np.sum(copy_of >= 0, axis=1) == 1).all()
+        fresh = np.where(copy_of >= 0, copy_of, np.arange(WORLDS[name]))[:, -FRESH:] - (WORLDS[name] - FRESH)
+        expected = np.stack([levels[index] for levels, index in zip(expected, fresh, strict=True)])
     np.testing.assert_array_equal(found[:, -FRESH:], expected)  # fresh levels are a group's last

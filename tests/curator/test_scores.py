@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.curator.level_buffer import Candidates, buffer_metrics, keep_best, scored
-from kinetix_dist.curator.scores import exact_keys, learnability, solve_rate
+from kinetix_dist.curator.scores import exact_keys, learnability, learnability_now, solve_rate
 
 
 def test_a_level_that_is_never_or_always_solved_teaches_nothing():
@@ -91,3 +91,24 @@ def test_the_order_of_levels_is_exact_up_to_an_episode_a_scoring_step(least, mos
 def test_a_buffer_larger_than_its_candidates_is_refused():
     with pytest.raises(ValueError, match="8 levels cannot be filled from 6"):
         keep_best([_scored(np.arange(6), np.zeros(6), np.ones(6), size=8)], 8)
+
+
+def test_the_interval_of_learnability_now_holds():
+    """Levels of a known distribution, drawn uniformly: it covers the true mean in 95 % of 1,000 updates, and its mean
+    is the true one."""
+    rng = np.random.default_rng(0)
+    p = np.where(rng.random(256) < 0.3, rng.choice([0.0, 1.0], 256), rng.beta(2, 2, 256))
+    true, found = (p * (1 - p)).mean(), []
+    for _ in range(1000):
+        plays = rng.multinomial(512, np.full(256, 1 / 256))
+        found.append(learnability_now(rng.binomial(plays, p), plays))
+    mean, error = np.array(found).T
+    # Three standard errors of 1,000 updates: .001 and .02.
+    assert mean.mean() == pytest.approx(true, abs=3 * mean.std() / np.sqrt(1000))
+    assert np.mean(np.abs(mean - true) < 1.96 * error) == pytest.approx(0.95, abs=0.02)
+
+
+def test_nothing_is_said_of_learnability_where_no_level_was_played_twice():
+    assert np.isnan(learnability_now(np.array([1, 0, 1]), np.array([1, 1, 1]))).all()
+    mean, error = learnability_now(np.array([1, 0]), np.array([2, 1]))
+    assert mean == 0.5 and np.isnan(error)

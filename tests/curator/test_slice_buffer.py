@@ -18,7 +18,6 @@ from kinetix_dist.curator.slice_buffer import (
     draw_slots,
     filled,
     harvested,
-    learnability_now,
     played,
     recent,
     slice_metrics,
@@ -105,24 +104,3 @@ def test_the_newest_solved_levels_are_candidates():
     assert harvest.levels.tolist()[:2] == [1.0, 3.0] and harvest.solved_at.tolist() == [0, 0, NEVER]
     harvest = harvested(harvest, jnp.array([4.0, 5.0, 6.0]), jnp.array([False, True, True]), jnp.int32(1))
     assert harvest.levels.tolist() == [5.0, 6.0, 1.0] and harvest.solved_at.tolist() == [1, 1, 0]
-
-
-def test_the_interval_of_learnability_now_holds():
-    """Levels of a known distribution, drawn uniformly: it covers the true mean in 95 % of 1,000 updates, and its mean
-    is the true one."""
-    rng = np.random.default_rng(0)
-    p = np.where(rng.random(256) < 0.3, rng.choice([0.0, 1.0], 256), rng.beta(2, 2, 256))
-    true, found = (p * (1 - p)).mean(), []
-    for _ in range(1000):
-        plays = rng.multinomial(512, np.full(256, 1 / 256))
-        found.append(learnability_now(rng.binomial(plays, p), plays))
-    mean, error = np.array(found).T
-    # Three standard errors of 1,000 updates: .001 and .02.
-    assert mean.mean() == pytest.approx(true, abs=3 * mean.std() / np.sqrt(1000))
-    assert np.mean(np.abs(mean - true) < 1.96 * error) == pytest.approx(0.95, abs=0.02)
-
-
-def test_nothing_is_said_of_learnability_where_no_level_was_played_twice():
-    assert np.isnan(learnability_now(np.array([1, 0, 1]), np.array([1, 1, 1]))).all()
-    mean, error = learnability_now(np.array([1, 0]), np.array([2, 1]))
-    assert mean == 0.5 and np.isnan(error)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -69,6 +71,50 @@ def test_a_network_of_ones_own_is_trained(tmp_path: Path) -> None:
     """The other two parts of a user are trained with in tests/runtime/test_ray_run.py."""
     options = ("--curriculum.name", "domain_randomization", "--run.total_env_steps", "256")
     assert "env steps/s in training" in run_example("own_network.py", "--run", str(tmp_path / "run"), *options)
+
+
+def leveldb_log(data: bytes, *, start: int) -> Iterator[bytes]:
+    """Records of a log of LevelDB: blocks of 32 KiB, of pieces with CRC (4 bytes), length (2) and kind (1)."""
+    block, head = 32768, 7
+    at, record = start, b""
+    while at + head <= len(data):
+        left = block - at % block
+        length, kind = int.from_bytes(data[at + 4 : at + 6], "little"), data[at + 6]
+        if left < head or kind == 0:  # the rest of a block is empty
+            at += left
+            continue
+        record += data[at + head : at + head + length]
+        at += head + length
+        if kind in (1, 4):  # whole, or the last piece; 2 and 3: the first and those between
+            yield record
+            record = b""
+
+
+@pytest.mark.long
+def test_a_sink_of_ones_own_gets_metrics_evaluations_events_and_the_configuration(tmp_path: Path) -> None:
+    """W&B offline, read back from the file that `wandb sync` uploads."""
+    messages = pytest.importorskip(
+        "wandb.proto.wandb_internal_pb2", reason="W&B is no dependency of the project, 63 MB; pip install wandb"
+    )
+    options = ("--curriculum.name", "domain_randomization", "--run.total_env_steps", "256")
+    run_example("own_sink.py", "--run", str(tmp_path / "run"), *options)
+    [file] = (tmp_path / "run" / "wandb").glob("offline-run-*/run-*.wandb")
+    records = [messages.Record.FromString(data) for data in leveldb_log(file.read_bytes(), start=len(b":W&B") + 3)]
+    logged: dict[str, list[float]] = {}
+    for record in records:
+        for item in record.history.item:
+            logged.setdefault(item.key or "/".join(item.nested_key), []).append(json.loads(item.value_json))
+    written = [json.loads(line) for line in (tmp_path / "run" / "metrics" / "metrics.jsonl").read_text().splitlines()]
+    assert logged["progress/updates"] == [row["update"] for row in written]
+    assert len(logged["evaluation/random_s/solve_rate"]) == 2  # before and after
+    configured = {item.key: json.loads(item.value_json) for record in records for item in record.run.config.update}
+    assert configured["config_hash"] == json.loads((tmp_path / "run" / "config.json").read_text())["hash"]
+    summary = {
+        (item.key or "/".join(item.nested_key)): json.loads(item.value_json)
+        for record in records
+        for item in record.summary.update
+    }
+    assert summary["events/run_finished"] == 1
 
 
 @pytest.mark.parametrize(("page", "size"), [("README.md", "num_envs=16"), ("docs/tutorial.md", "num_envs=64")])

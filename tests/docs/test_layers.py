@@ -28,7 +28,7 @@ LAYERS = (
     ("env",),
     ("level",),
     ("telemetry", "checkpoint"),
-    ("child_python", "jax_checks", "prng", "program_cache", "registry", "setting", "text_files"),
+    ("child_python", "jax_checks", "parent_death", "prng", "program_cache", "registry", "setting", "text_files"),
     ("atomic_files", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings", "user_directories"),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}

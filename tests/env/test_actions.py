@@ -146,3 +146,26 @@ def test_wrong_shapes_are_refused_inside_jit_too() -> None:
     with pytest.raises(ValueError, match="shape"):
         jax.jit(traced)(jnp.zeros((2, 5), jnp.int32))
     jax.jit(traced)(jnp.full((2, 6), 99))  # values are not known here; a step counts them instead
+
+
+@pytest.mark.parametrize("name", ACTION_SPACES)
+def test_numbers_of_an_action_have_names(name: str) -> None:
+    space = ACTION_SPACES[name]
+    assert len(space.action_names) == space.num_dimensions
+    for action, high in zip(space.action_names, space.high):
+        assert len(action.values) == (int(high) + 1 if space.is_integer else 0), action
+
+
+@pytest.mark.parametrize(
+    ("name", "dimension", "value", "words"),
+    [
+        ("multi_discrete", 1, 2.0, "motor colour 1: backward"),
+        ("multi_discrete", 5, 1.0, "thruster colour 1: on"),
+        ("continuous", 0, -0.25, "motor colour 0: -0.25"),
+        ("discrete", 0, 3.0, "choice: motor colour 1 forward"),
+        ("discrete", 0, 8.0, "choice: nothing"),
+        ("discrete", 0, 10.0, "choice: thruster colour 1 on"),
+    ],
+)
+def test_an_action_in_words_says_what_it_drives(name: str, dimension: int, value: float, words: str) -> None:
+    assert ACTION_SPACES[name].action_names[dimension].words(value) == words

@@ -7,7 +7,16 @@ import math
 import numpy as np
 import pytest
 
-from kinetix_dist.evaluation.intervals import Z_95, for_readers, interval_over_levels, wilson_interval
+from kinetix_dist.evaluation.intervals import (
+    Z_95,
+    difference_interval,
+    for_readers,
+    interval_over_levels,
+    t_95,
+    wilson_interval,
+    z_95,
+)
+from kinetix_dist.evaluation.paired_levels import difference_over_levels
 from kinetix_dist.level.level_data import base_levels, variant_name
 from kinetix_dist.level.variants import NUM_VARIANTS
 
@@ -113,3 +122,22 @@ def test_variants_of_a_level_count_as_one_base_level() -> None:
     names = [variant_name(level, number) for level in ("hop_home", "kick_2") for number in range(NUM_VARIANTS)]
     assert base_levels("dev_designed_s", names) == ["hop_home"] * 8 + ["kick_2"] * 8
     assert base_levels("random_s", ["random_s_0", "random_s_1"]) == ["random_s_0", "random_s_1"]
+
+
+def test_a_difference_of_two_rates_against_the_published_examples() -> None:
+    """R. G. Newcombe 1998, table II, method 10: (a) 56 of 70 and 48 of 80, (h) 10 of 10 and 0 of 10."""
+
+    def difference(solved: int, attempts: int, other: int, other_attempts: int) -> tuple[float, float, float]:
+        one, two = ((k / n, *wilson_interval(k, n)) for k, n in ((solved, attempts), (other, other_attempts)))
+        return difference_interval(one, two)
+
+    assert difference(56, 70, 48, 80) == pytest.approx((0.2, 0.0524, 0.3339), abs=1e-4)
+    assert difference(10, 10, 0, 10) == pytest.approx((1.0, 0.6075, 1.0), abs=1e-4)
+
+
+def test_several_comparisons_at_once_have_wider_intervals() -> None:
+    assert z_95() == pytest.approx(Z_95) and z_95(5) == pytest.approx(2.5758, abs=1e-4), "1 % two-sided"
+    assert t_95(9) == pytest.approx(2.2622, abs=1e-4) and t_95(9, 5) == pytest.approx(3.2498, abs=1e-4)
+    alone = difference_over_levels([0.5, 0.6, 0.9], [0.4, 0.4, 0.6], ["a", "b", "c"])
+    many = difference_over_levels([0.5, 0.6, 0.9], [0.4, 0.4, 0.6], ["a", "b", "c"], comparisons=10)
+    assert alone is not None and many is not None and many[1] < alone[1] < alone[0] < alone[2] < many[2]

@@ -38,14 +38,15 @@ CURRICULA = {
 
 
 def config(curriculum: str) -> TrainConfig:
-    """Eight groups of two worlds."""
+    """Eight groups of two worlds or four."""
     import_plugins(PLUGINS)
     tiny = tiny_config(num_updates=NUM_UPDATES, plugins=PLUGINS)
+    num_envs = 32 if curriculum == "sfl_slices" else 16  # with two fresh levels a group there is a pair of them
     return dataclasses.replace(
         tiny,
         env=dataclasses.replace(tiny.env, max_steps=5),
         curriculum=CURRICULA[curriculum],
-        rollout=dataclasses.replace(tiny.rollout, num_groups=8),
+        rollout=dataclasses.replace(tiny.rollout, num_envs=num_envs, num_groups=8),
         ppo=dataclasses.replace(tiny.ppo, virtual_shards=8),
     )
 

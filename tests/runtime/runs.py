@@ -14,6 +14,7 @@ from kinetix_dist.config import EvaluationConfig, LimitsConfig, TrainConfig, to_
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.driver.controller import Controller, Roles
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.telemetry.sinks import Evaluation
 
 
 class QuietReporter:
@@ -32,6 +33,9 @@ class QuietReporter:
     def metrics(self, num_updates: int, metrics: Mapping[str, float], seconds_left: float | None) -> None:
         self.rows.append({"update": num_updates, **metrics})
         self._at_update(num_updates)
+
+    def evaluated(self, evaluation: Evaluation) -> None:
+        pass
 
 
 class NotingReporter(QuietReporter):

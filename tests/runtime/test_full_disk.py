@@ -124,7 +124,7 @@ def test_training_goes_on_for_100_updates_on_a_full_disk_and_all_files_after_it(
     assert [row["update"] for row in rows] == written
     assert rows[-1]["telemetry/dropped_rows"] == 2 * (last - first)
     assert sorted(set(_points(run.metrics))) == [number * STEPS for number in written]
-    for sink in ("metrics.jsonl", "TensorBoard"):
+    for sink in ("metrics.jsonl", "tensorboard"):
         (failing,) = [row for row in _events(run.path, "sink_failing") if row["sink"] == sink]
         (recovered,) = [row for row in _events(run.path, "sink_recovered") if row["sink"] == sink]
         assert "File too large" in failing["error"] and failing["update"] == first + 1

@@ -29,9 +29,10 @@ from tests.runtime.runs import without_evaluator
 
 # 143,771 MiB, of which the driver keeps 615.
 H200 = Gpu(name="NVIDIA H200", total_bytes=143_156 * MIB, num_sms=132, threads_per_sm=2048)
-# Compiled for sm_90 with jax2d.warp.memory.thread_bytes, and what CUDA then took of an H200, MiB.
-COMPILED_THREAD_BYTES = {"s": 4304, "m": 6304, "l": 11472}
-MEASURED_LOCAL_MIB = {"s": 846, "m": 1360, "l": 2694}
+# Compiled for sm_90 with jax2d.warp.memory.thread_bytes.
+COMPILED_THREAD_BYTES = {"s": 6000, "m": 8384, "l": 15200}
+# MiB that CUDA took of an H200 for kernels of these bytes a thread: S, M and L of an earlier engine.
+MEASURED_LOCAL_MIB = {4304: 846, 6304: 1360, 11472: 2694}
 MEASURED_CONTEXT, MEASURED_PROGRAMS = 560 * MIB, 250 * MIB
 
 
@@ -49,21 +50,18 @@ def test_the_estimate_of_a_threads_local_memory_is_above_that_of_the_kernel_but_
     assert 1.0 < thread_bytes(SIZES[size]) / COMPILED_THREAD_BYTES[size] < 1.25
 
 
-@pytest.mark.long
-def test_what_was_recorded_of_a_kernel_is_what_it_compiles_to(monkeypatch):
+@pytest.mark.parametrize("size", SIZES)
+def test_what_was_recorded_of_a_kernel_is_what_it_compiles_to(monkeypatch, size):
     monkeypatch.setattr(wp.config, "optimization_level", None)  # as for users: tests have another one for a CPU
-    capacity = SIZES["s"]
+    capacity = SIZES[size]
     compiled = compiled_thread_bytes(capacity, preset("standard"), Effects.full(capacity), "9.0")
     assert compiled <= thread_bytes(capacity)
-    assert compiled == pytest.approx(COMPILED_THREAD_BYTES["s"], rel=0.15)  # beyond that: fit NUMBERS_OF again
+    assert compiled == pytest.approx(COMPILED_THREAD_BYTES[size], rel=0.05)  # beyond that: fit NUMBERS_OF again
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_local_memory_is_what_was_measured(size):
-    assert local_memory_bytes(COMPILED_THREAD_BYTES[size], H200) / MIB == pytest.approx(
-        MEASURED_LOCAL_MIB[size],
-        abs=2,  # CUDA takes pages of 2 MiB
-    )
+@pytest.mark.parametrize(("compiled", "measured_mib"), MEASURED_LOCAL_MIB.items())
+def test_local_memory_is_what_was_measured(compiled, measured_mib):
+    assert local_memory_bytes(compiled, H200) / MIB == pytest.approx(measured_mib, abs=2)  # CUDA takes pages of 2 MiB
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -71,12 +69,12 @@ def test_worker_and_curator_fit_on_one_gpu_with_all_that_they_were_seen_to_take(
     budgets = _budgets(recipe(f"sfl_{size}"))
     taken = 0
     for budget in budgets.values():
-        next_to_pool = MEASURED_CONTEXT + MEASURED_PROGRAMS + MEASURED_LOCAL_MIB[size] * MIB
+        next_to_pool = MEASURED_CONTEXT + MEASURED_PROGRAMS + local_memory_bytes(COMPILED_THREAD_BYTES[size], H200)
         assert next_to_pool < budget.reserve_bytes
         taken += float(budget.environment["XLA_CLIENT_MEM_FRACTION"]) * H200.total_bytes + next_to_pool
     assert taken < 0.98 * H200.total_bytes
     assert budgets["curator 0"].pool_bytes > 3 * 309 * MIB  # scoring 4,096 levels of M
-    assert budgets["worker 0"].pool_bytes > 0.85 * H200.total_bytes
+    assert budgets["worker 0"].pool_bytes > 0.8 * H200.total_bytes
 
 
 def test_a_curator_that_scores_more_gets_more():
@@ -151,7 +149,7 @@ def test_without_a_driver_a_gpu_is_refused_in_words():
             "worker 0",
             "UNKNOWN: FFI callback error: RuntimeError: Error launching kernel: step_worlds on device cuda:0: "
             "Warp CUDA error 2: out of memory",
-            "beyond XLA's pool: its budget is 133.0 GiB",
+            "beyond XLA's pool: its budget is 132.5 GiB",
         ),
         (
             "learner 0",

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from kinetix_dist.runtime.driver import reporting
 from kinetix_dist.runtime.driver.reporting import RunReporter
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
+from kinetix_dist.telemetry.sinks import TensorboardSink
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from tests.helpers import PATIENCE_S, environment_of_cpus
 
@@ -25,8 +25,7 @@ def test_it_is_not_imported_with_what_trains() -> None:
 
 def test_it_is_imported_while_others_are_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     imported = []
-    tensorboard = reporting._tensorboard
-    monkeypatch.setattr(reporting, "_tensorboard", lambda: imported.append(time.monotonic()) or tensorboard())
+    monkeypatch.setattr(TensorboardSink, "prepare", classmethod(lambda cls: imported.append(time.monotonic())))
     run = RunDirectory.create(tmp_path / "run", numbered=False)
     reporter = RunReporter(run, ConsoleSink(total_env_steps=None))
     assert not imported

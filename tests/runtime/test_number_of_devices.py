@@ -39,6 +39,9 @@ def test_seven_devices_play_the_worlds_of_one(by_count):
     assert found.keys() == expected.keys()
     names = [name for name in found if name.startswith(("levels/", "actions", "sums/physics"))]
     assert len(names) > 10
+    names += [name for name in found if name.startswith("sums/by_source/")]
+    if "sums/by_source/fresh_pairs" in found:  # of "sfl_slices": one in each group
+        assert found["sums/by_source/fresh_pairs"].sum() == 8
     for name in [*names, "sums/finished", "sums/solved", "sums/failed", "sums/steps"]:
         np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
 

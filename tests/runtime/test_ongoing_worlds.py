@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +21,10 @@ from kinetix_dist.config import differences, from_dict, to_dict
 from kinetix_dist.config.phases import PhaseConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.finetune.specialists import Specialists
+from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.plasticity import PlasticityConfig
-from kinetix_dist.learner.sharding import data_mesh
+from kinetix_dist.learner.sharding import data_mesh, spread_worlds
+from kinetix_dist.runtime.cores.ongoing_worlds import OngoingWorlds, restored, stored
 from kinetix_dist.runtime.cores.playing import Playing
 from kinetix_dist.runtime.cores.run_names import WORLDS
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
@@ -175,7 +178,7 @@ def test_less_than_one_update_and_specialists_are_refused():
 
 def test_it_is_part_of_the_hash_where_worlds_go_on():
     config = tiny_config(num_updates=1)
-    assert config.hash == "ef38c3ea563a781b"  # as before there was such a setting
+    assert config.hash == "cdd676c1a6800887"  # as before there was such a setting
     longer = dataclasses.replace(config, rollout=dataclasses.replace(config.rollout, reset_every=2))
     assert longer.hash != config.hash and differences(longer, config) == ["rollout.reset_every 2 instead of 1"]
     assert from_dict(json.loads(json.dumps(to_dict(longer)))) == longer
@@ -236,6 +239,10 @@ def test_attempts_are_counted_once_between_resets(eight_updates):
     # The buffer of update 0 is replaced at update 5, within the second stretch, whose levels were drawn before.
     assert [(line["from_update"], line["update"], line["buffer"]) for line in lines] == [(0, 8, 0)]
     assert counted == [32]
+    # A pair of fresh worlds in each of four groups, at two resets: all fresh worlds there are.
+    pairs, fresh = lines[0]["fresh_pairs"], lines[0]["sources"]["fresh"]
+    assert sum(pairs.values()) == 8 and 2 * pairs["both"] + pairs["one"] == fresh["solved"]
+    assert fresh["attempts"] == 16
 
 
 @pytest.mark.long
@@ -246,6 +253,7 @@ def test_checkpoints_hold_worlds_unless_a_reset_follows(eight_updates):
         for saved in list_checkpoints(path / "checkpoints")
     }
     assert {number for number, arrays in held.items() if not arrays} == {3, 6}
+    assert np.count_nonzero(held[4]["copy_of"] >= 0) == 4  # one of each group
     assert held[4]["episodes/env_state/num_steps"].max() == 8 and held[5]["episodes/env_state/num_steps"].max() == 16
     assert ("episodes/memory" in held[4]) == (config.policy.recurrent == "gru")
 
@@ -262,6 +270,20 @@ def test_a_run_that_is_resumed_has_the_bits_of_one_that_was_not(eight_updates, t
     for ours, theirs in zip(resumed, rows[saved_at:], strict=True):
         np.testing.assert_equal(_compared(ours), _compared(theirs))
     assert_same_bits(final_arrays(tmp_path / "cut"), final_arrays(path))
+    outcomes = [folder / "curriculum" / "outcomes.jsonl" for folder in (tmp_path / "cut", path)]
+    assert outcomes[0].read_bytes() == outcomes[1].read_bytes()
+
+
+def test_worlds_of_a_checkpoint_without_pairs_go_on_without_them():
+    """Versions before there were pairs stored no `copy_of`."""
+    number = np.arange(4, dtype=np.int32)
+    worlds: Any = OngoingWorlds(levels={"size": number}, source=number, copy_of=None, episodes={"steps": number})
+    mesh, division = data_mesh(jax.devices()[:1]), Division(1, 1)
+    for copy_of in (None, np.array([-1, 0, -1, 2], np.int32)):
+        some = spread_worlds(dataclasses.replace(worlds, copy_of=copy_of), mesh, division)
+        arrays = select_arrays(stored(some, mesh, division), WORLDS)
+        found = restored(arrays, worlds, mesh, division)
+        jax.tree.map(np.testing.assert_array_equal, found, some)
 
 
 @pytest.mark.long

@@ -87,6 +87,31 @@ def test_a_window_that_goes_on_from_a_checkpoint_gives_the_same_lines(cut):
     )
 
 
+def test_pairs_of_fresh_levels_are_counted_by_how_many_of_the_two_attempts_were_solved():
+    def attempts(none, one, both):
+        return {**_attempts([8, 4]), "fresh_pairs": np.array([none, one, both], np.int32)}
+
+    window = OutcomeWindow(every=2)
+    window.add(1, attempts(3, 1, 0), 0, SOURCES)
+    (line,) = window.add(2, attempts(1, 1, 2), 0, SOURCES)
+    assert line["fresh_pairs"] == {"both": 2, "one": 2, "none": 4}
+    assert (line["attempts"], line["sources"]) == ([8], {"fresh": {"attempts": 16, "solved": 0}})
+    window.add(3, attempts(4, 0, 0), 0, SOURCES)
+    resumed = OutcomeWindow(every=2)
+    resumed.start(window.description(), window.in_flight(), num_updates=3, sources=SOURCES)
+    assert resumed.add(4, attempts(0, 4, 0), 0, SOURCES)[0]["fresh_pairs"] == {"both": 0, "one": 4, "none": 4}
+
+
+def test_a_window_that_an_earlier_version_began_ends_before_the_first_pairs():
+    """Its counts have none: they are a line of their own."""
+    window = OutcomeWindow(every=4)
+    window.add(1, _attempts([2, 2]), 0, SOURCES)
+    (line,) = window.add(2, {**_attempts([2, 2]), "fresh_pairs": np.array([0, 1, 0])}, 0, SOURCES)
+    assert line["update"] == 1 and "fresh_pairs" not in line
+    (line,) = window.end(2)
+    assert line["from_update"] == 1 and line["fresh_pairs"] == {"both": 0, "one": 1, "none": 0}
+
+
 def test_a_stored_window_without_attempts_is_dropped():
     window = OutcomeWindow(every=4)
     old = {"outcomes/finished": np.array([9, 5, 0], np.int64), "outcomes/solved": np.array([8, 2, 0], np.int64)}

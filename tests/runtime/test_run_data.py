@@ -36,7 +36,7 @@ from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, ti
 from tests.runtime.test_full_disk import full_disk
 from tests.runtime.train_process import events
 
-NUM_WORLDS = 16
+NUM_WORLDS, NUM_GROUPS = 16, 4
 NUM_UPDATES, EVERY, BUFFER_SIZE = 8, 3, 8  # a refresh every 3 updates, adopted after 2
 LOG = CurriculumLogConfig(outcomes_every=EVERY, probe_levels=4)
 OFF = CurriculumLogConfig(outcomes_every=0, probe_levels=0, max_snapshots=0)
@@ -110,6 +110,18 @@ def _assert_counts_add_up(path, rows):
     return lines
 
 
+def _assert_pairs_add_up(lines, rows):
+    """One pair a group and update; their learnability is the mean of the metric of each update."""
+    for line in lines:
+        pairs, window = line["fresh_pairs"], rows[line["from_update"] : line["update"]]
+        assert pairs.keys() == {"both", "one", "none"}
+        assert sum(pairs.values()) == NUM_GROUPS * len(window)
+        # Two of the four worlds of a group play fresh levels, both the same one.
+        assert 2 * pairs["both"] + pairs["one"] == line["sources"]["fresh"]["solved"]
+        learnability = np.mean([row["curriculum/fresh_learnability"] for row in window])
+        assert pairs["one"] / (2 * sum(pairs.values())) == pytest.approx(learnability)
+
+
 @pytest.fixture(scope="module")
 def logged(tmp_path_factory):
     """(folder, rows of metrics) of a run in one process."""
@@ -161,6 +173,7 @@ def test_outcomes_of_a_window_add_up_to_the_attempts_of_its_updates(logged):
         sum(line["sources"]["fresh"]["attempts"] for line in lines),
     )
     assert buffered == fresh == NUM_WORLDS // 2 * NUM_UPDATES
+    _assert_pairs_add_up(lines, rows)
 
 
 def test_parameters_are_the_same_to_the_bit_without_any_of_it(logged, tmp_path):
@@ -212,6 +225,7 @@ def test_in_the_split_placement_a_window_ends_with_the_batches_of_a_buffer(tmp_p
     path = tmp_path / "split"
     rows = _train(_config(placement="split"), path)
     lines = _assert_counts_add_up(path, rows)
+    _assert_pairs_add_up(lines, rows)
     first_batch = {row["policy_version"]: row["update"] for row in events(path, "buffer_adopted")}
     assert first_batch == {0: 0, 3: 5, 6: 8}
     for line in lines:

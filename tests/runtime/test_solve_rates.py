@@ -21,7 +21,15 @@ from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh, on_devices
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome
-from kinetix_dist.runtime.cores.rollout_sums import BY_SOURCE, SIZES_PLAYED, attempt_sums, attempts_by, step_sums
+from kinetix_dist.runtime.cores.rollout_sums import (
+    BY_SOURCE,
+    FRESH_PAIRS,
+    SIZES_PLAYED,
+    attempt_sums,
+    attempts_by,
+    pairs_by_solved,
+    step_sums,
+)
 from kinetix_dist.runtime.cores.update_metrics import training_metrics
 from kinetix_dist.runtime.driver.run_data import OutcomeWindow
 from kinetix_dist.studio.runs.refreshes import Refreshes, describe_training, training_plays
@@ -32,6 +40,7 @@ MAX_STEPS = 8
 NUM_WORLDS = 6000
 P_OF_BUFFER = np.array([0.2, 0.5, 0.5, 0.8])
 P_OF_FRESH = 0.3
+PER_GROUP = 4  # worlds, where there are pairs
 
 
 class Course(NamedTuple):
@@ -98,6 +107,20 @@ def _sums_over(*given: Any) -> dict[str, Any]:
     worlds, steps, whole = PartitionSpec(DATA_AXIS), PartitionSpec(None, DATA_AXIS), PartitionSpec()
     mesh = data_mesh(jax.devices()[:1])
     return on_devices(inside, mesh, in_specs=(worlds, steps, worlds, worlds), out_specs=whole)(*given)
+
+
+@jax.jit
+def pairs_of(outcome: LevelOutcome, copy_of: np.ndarray, is_counted: np.ndarray) -> Any:
+    """Pairs by how many of both attempts were solved, of groups of PER_GROUP worlds."""
+
+    def inside(*given: Any) -> Any:
+        outcome, copy_of, is_counted = given
+        return pairs_by_solved(copy_of, outcome, is_counted, PER_GROUP)
+
+    worlds, mesh = PartitionSpec(DATA_AXIS), data_mesh(jax.devices()[:1])
+    return on_devices(inside, mesh, in_specs=(worlds, worlds, worlds), out_specs=PartitionSpec())(
+        outcome, copy_of, is_counted
+    )
 
 
 def holds(low: float, p: float, high: float) -> bool:
@@ -172,6 +195,38 @@ def test_the_line_of_a_window_has_the_learnability_of_its_levels(update, tmp_pat
     (shown,) = Refreshes(tmp_path).summaries()["windows"]
     fresh = shown["sources"]["fresh"]
     assert holds(fresh["low"], P_OF_FRESH, fresh["high"])
+
+
+def test_learnability_of_fresh_levels_and_of_a_buffer_is_without_bias(update) -> None:
+    """Fresh levels of many p, some of which are always or never solved; solved episodes are 1 step long, others 8."""
+    chance = np.random.default_rng(7)
+    num_groups = NUM_WORLDS // PER_GROUP
+    p = np.where(chance.random((num_groups, PER_GROUP)) < 0.3, chance.integers(0, 2, (num_groups, 1)), 0.4)
+    p[:, 3] = p[:, 1]  # the last world of a group plays the level of the second
+    copy_of = np.tile(np.array([-1, -1, -1, 1], np.int32), num_groups)
+    outcome = outcome_of(course(chance, p.reshape(-1), MAX_STEPS))
+    counts = jax.device_get(pairs_of(outcome, copy_of, np.ones(NUM_WORLDS, bool)))
+    first = np.asarray(outcome.first_solved).reshape(num_groups, PER_GROUP)
+    np.testing.assert_array_equal(counts, np.bincount(first[:, 1] + first[:, 3], minlength=3))
+    _, sums, _ = update
+    sums = sums | {BY_SOURCE: {**sums[BY_SOURCE], FRESH_PAIRS: counts}}
+    metrics = training_metrics(sums, {}, frame_skip=1, sources=("fresh",))
+    expected = (p[:, 1] * (1 - p[:, 1])).mean()
+    differ = 2 * expected  # chance that the attempts of a pair differ; each such pair counts a half
+    error = np.sqrt(differ * (1 - differ) / num_groups) / 2
+    assert metrics["curriculum/fresh_learnability"] == pytest.approx(expected, abs=3 * error)
+    assert expected < 0.2 and error < 0.01  # solve rates of all of them together would say 0.24
+    now, error = (metrics[f"curriculum/learnability_now{end}"] for end in ("", "_error"))
+    assert now == pytest.approx((P_OF_BUFFER * (1 - P_OF_BUFFER)).mean(), abs=0.01) and error > 0
+    (line,) = OutcomeWindow(every=1).add(1, sums[BY_SOURCE], 0, ("fresh",))
+    assert line["fresh_pairs"] == dict(zip(("none", "one", "both"), counts.tolist(), strict=True))
+
+
+def test_a_world_that_is_there_once_more_is_in_no_pair(update) -> None:
+    """The last group lies in another slot too, where it is not counted."""
+    copy_of = np.tile(np.array([-1, 0, -1, -1], np.int32), NUM_WORLDS // PER_GROUP)
+    is_counted = np.arange(NUM_WORLDS) < NUM_WORLDS - PER_GROUP
+    assert int(pairs_of(update[0], copy_of, is_counted).sum()) == NUM_WORLDS // PER_GROUP - 1
 
 
 def test_with_fewer_steps_than_an_episode_has_the_rate_is_that_of_solving_within_them() -> None:

@@ -396,9 +396,9 @@ def test_a_start_stays_the_path_that_it_was(tmp_path, monkeypatch):
 
 
 def test_a_checkpoint_of_other_settings_of_the_engine_is_refused(capsys, tmp_path):
-    options = ["--recipe", "pretrain_l", "--run.device", "cpu", "--env.physics.joint_hertz", "60"]
+    options = ["--recipe", "pretrain_l", "--run.device", "cpu", "--env.physics.spring_hertz", "60"]
     line = _refusal(capsys, *options, *FROM_GENERALIST, "--run", tmp_path / "run")
-    assert "learned with other settings of the engine: joint_hertz 88.0 instead of 60.0" in line
+    assert "learned with other settings of the engine: spring_hertz 88.0 instead of 60.0" in line
     assert "--run.start_other_engine True" in line
 
 

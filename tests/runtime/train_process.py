@@ -20,6 +20,8 @@ STEPS_PER_UPDATE = 128
 # Of one GPU for a run, so that other tests can use it at the same time; more than the reserves of two processes.
 GPU_MEMORY_GIB = 10
 LIMIT_S = 280.0
+# A run whose pipe is full waits until it is read, and XLA says 4 kB for each program that another CPU had compiled.
+PIPE_BYTES = 1 << 20
 
 
 def start(run: Path, *options: str, device: str = "cpu", new_session: bool = False) -> subprocess.Popen[str]:
@@ -39,6 +41,7 @@ def start(run: Path, *options: str, device: str = "cpu", new_session: bool = Fal
         cwd=REPOSITORY,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
+        pipesize=PIPE_BYTES,
         text=True,
         start_new_session=new_session,
     )

@@ -66,3 +66,20 @@ def write_run(run: Path, updates: int = 20, /, **sections: dict[str, Any]) -> Pa
         {"time": "2026-01-31T12:00:00Z", "event": "buffer_adopted", "policy_version": 0, "update": 0},
     )
     return run
+
+
+def write_evaluations(run: Path, sets: dict[str, tuple[list[str], int, list[list[int]]]], *, every: int = 10) -> None:
+    """Lines of evaluations.jsonl: random actions, before, and every `every` updates; the last one is "after".
+
+    sets: {name: (names of levels, attempts at each, solved of each in each evaluation)}.
+    """
+    count = min(len(solved) for _, _, solved in sets.values())
+    for k in range(count):
+        phase = "random_policy" if k == 0 else "before" if k == 1 else "after" if k == count - 1 else "training"
+        update = max(k - 1, 0) * every
+        lines = {
+            name: {"names": names, "solved": solved[k], "attempts": attempts}
+            for name, (names, attempts, solved) in sets.items()
+        }
+        row = {"format": 1, "phase": phase, "update": update, "env_steps": STEPS * update, "reported_at": update}
+        append_line(run / "evaluations.jsonl", row | {"sets": lines})

@@ -43,6 +43,15 @@ def test_nothing_is_answered_without_it(server: Server, path: str) -> None:
     assert status == 401 and "open the address with its token" in content
 
 
+def test_a_browser_without_access_gets_a_page_that_takes_the_printed_address(server: Server) -> None:
+    """Its script is open, and knows no token; other requests get one line."""
+    status, headers, content = without_cookie(server, "/", Accept="text/html,*/*")
+    assert status == 401 and headers["Content-Type"].startswith("text/html") and 'src="static/enter.js"' in content
+    status, _, script = without_cookie(server, "/static/enter.js")
+    assert status == 200 and server.token not in script + content
+    assert without_cookie(server, "/api/runs", Accept="text/html")[2].startswith("no access")
+
+
 @pytest.mark.parametrize("path", ["/favicon.ico", "/static/icon.svg"])
 def test_everybody_gets_the_icon(server: Server, path: str) -> None:
     """Browsers request it with every page, also with the one that refuses access."""

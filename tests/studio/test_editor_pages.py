@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.helpers import PATIENCE_S, REPOSITORY
-from tests.studio.serving import Server, command, environment, serving
+from tests.studio.serving import Server, command, end, environment, serving
 
 LEVEL = (REPOSITORY / "levels" / "s" / "hop_home.json").read_bytes()
 
@@ -76,6 +76,21 @@ def test_what_cannot_be_saved_is_one_line(server: Server, name: str, body: bytes
     found, content = save(server, name, body, If_None_Match="*")
     assert found == status and text in content["error"]
     assert save(server, "a.json", b"{}")[0] == 400  # without saying what is there
+
+
+def test_results_of_searches_alone_in_runs_do_not_keep_the_editor_from_starting(tmp_path: Path) -> None:
+    (tmp_path / "runs" / "taught").mkdir(parents=True)
+    (tmp_path / "runs" / "taught" / "mine-20261129-120000.json").write_bytes(LEVEL)
+    server = subprocess.Popen(
+        command("--port", "0", "--no-play", name="edit"),
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment(),
+        cwd=tmp_path,
+    )
+    assert server.stdout is not None
+    assert "http://127.0.0.1" in server.stdout.readline()
+    end(server)
 
 
 def test_without_a_file_on_the_command_line_nothing_is_saved() -> None:

@@ -61,7 +61,7 @@ def test_many_lines_are_put_together_and_damaged_ones_counted(tmp_path: Path) ->
     found = Processes(tmp_path).describe([])
     assert len(found["updates"]) == MAX_COLUMNS and found["updates"][-1] == 100
     assert found["idle"]["rollout 0"][0] == 0.75 and found["idle"]["rollout 0"][-1] == 0.25
-    assert found["problems"] == ["2 lines of processes.jsonl are damaged and left out"]
+    assert found["problems"] == ["2 lines are damaged in processes.jsonl and left out"]
 
 
 def test_a_run_without_the_file_has_no_processes(tmp_path: Path) -> None:

@@ -152,7 +152,7 @@ def test_lines_of_another_format_and_lines_without_their_fields_count_as_damaged
     for row in (line | {"format": 1}, without, line):
         append_line(tmp_path / DIRECTORY / OUTCOMES, row)
     found = Refreshes(tmp_path).summaries()
-    assert found["problems"] == [f"2 lines of {DIRECTORY}/{OUTCOMES} are damaged and left out"]
+    assert found["problems"] == [f"2 lines are damaged in {DIRECTORY}/{OUTCOMES} and left out"]
     assert found["snapshots"][0]["training"]["episodes"] == 16
 
 

@@ -67,7 +67,10 @@ def test_a_run_is_described_with_units_and_warnings(server: Server) -> None:
 def test_runs_are_compared_by_a_field(server: Server) -> None:
     found = server.json("/api/compare?runs=a,b&metric=train/solve_rate&x=updates&group=run.seed&points=50")
     assert found["differences"] == {"run.seed": {"a": 0, "b": 7}}
-    assert [(group["value"], group["runs"]) for group in found["groups"]] == [("0", ["a"]), ("7", ["b"])]
+    assert [(group["value"], group["runs"]) for group in found["curves"]["train/solve_rate"]["groups"]] == [
+        ("0", ["a"]),
+        ("7", ["b"]),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -189,7 +192,7 @@ def snapshot(root: Path) -> dict[str, tuple]:
 
 def browse(server: Server) -> None:
     for run in [row["id"] for row in server.json("/api/runs")["runs"]]:
-        for page in ("", "/series?names=train/solve_rate", "/events", "/evaluations"):
+        for page in ("", "/series?names=train/solve_rate", "/events", "/evaluations", "/verdict"):
             server.json(f"/api/runs/{run}{page}")
 
 
@@ -227,7 +230,7 @@ def test_a_run_that_vanishes_is_an_answer_and_no_end(tmp_path: Path) -> None:
         wait_for(lambda: [row["id"] for row in server.json("/api/runs")["runs"]] == ["b"])
 
 
-@pytest.mark.parametrize("path", ["", "/series", "/evaluations", "/curriculum", "/recordings"])
+@pytest.mark.parametrize("path", ["", "/series", "/evaluations", "/curriculum", "/recordings", "/verdict"])
 def test_a_run_that_has_just_begun_is_found_by_any_page(tmp_path: Path, path: str) -> None:
     with serving(tmp_path, "--no-play") as server:
         server.json("/api/runs")  # the list was looked at a moment ago

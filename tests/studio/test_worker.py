@@ -55,6 +55,29 @@ def level(name: str = NAME) -> Level:
     return load_level(levels_root() / f"{name}.json")[0]
 
 
+def test_actions_are_played_as_they_are_and_a_proof_solves_its_level(worker: Client) -> None:
+    proof = read_proof(levels_root() / "proofs" / f"{NAME}.json")
+    policy = {"actions": proof.actions.tolist()}
+    session = worker.request("play.open", level={"document": document()}, policy=policy)
+    assert session["policy"] == {"kind": "actions"} and session["sizes"]["outputs"] == 0
+    state = worker.request("play.control", session=session["session"], do="step", steps=1000)
+    assert state["step"] == proof.num_steps
+    [end] = [message.content for message in worker.others if message.content["type"] == "play.end"]
+    assert end["outcome"] == "solved"
+    worker.others.clear()
+
+
+def test_after_the_last_of_the_actions_nothing_is_done(worker: Client) -> None:
+    def end_of(policy: Any) -> tuple[int, str]:
+        session = worker.request("play.open", level={"document": document()}, policy=policy)["session"]
+        step = worker.request("play.control", session=session, do="step", steps=1000)["step"]
+        [end] = [message.content for message in worker.others if message.content["type"] == "play.end"]
+        worker.others.clear()
+        return step, end["outcome"]
+
+    assert end_of({"actions": [[0] * 6]}) == end_of("noop")
+
+
 def opened(worker: Client, **fields: Any) -> dict[str, Any]:
     answer = worker.request("play.open", **({"level": {"document": document()}} | fields))
     worker.others.clear()
@@ -439,7 +462,7 @@ def test_generated_levels_are_valid_and_follow_their_seed(worker: Client) -> Non
 BAD_REQUESTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "unknown type": ("dance", {}, "there is no request 'dance'"),
     "no level": ("play.open", {}, "level is"),
-    "empty level": ("play.open", {"level": {}}, "neither"),
+    "empty level": ("play.open", {"level": {}}, "none of"),
     "wrong level": ("play.open", {"level": {"document": {"size": "s"}}}, "is missing"),
     "relative path": ("display", {"level": {"run": "runs/a", "refresh": 0, "index": 0}}, "absolute path"),
     "index of no number": ("display", {"level": {"run": "/a", "refresh": 0, "index": "1"}}, "level.index"),
@@ -468,6 +491,7 @@ BAD_REQUESTS: dict[str, tuple[str, dict[str, Any], str]] = {
     "convert to what": ("convert", {"document": document(), "to": "svg"}, "to is 'svg'"),
     "unknown mutator": ("mutate", {"document": document(), "mutator": "x"}, "mutator is 'x'"),
     "unknown generator": ("generate", {"size": "s", "generator": "x"}, "generator is 'x'"),
+    "unknown mechanism": ("mechanism", {"mechanism": "x", "size": "m"}, "mechanism is 'x'"),
     "unknown size": ("generate", {"size": "xl"}, "size is 'xl'"),
     "no indices": ("thumbnails", {"run": "/a", "refresh": 0, "indices": "all"}, "indices"),
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import re
 import resource
@@ -23,7 +24,7 @@ from kinetix_dist.telemetry.mcap_reader import read_recording
 from kinetix_dist.telemetry.recording import RecordingError, Rollout
 from kinetix_dist.telemetry.rollout_schema import FIELDS, FILE_NAME
 from kinetix_dist.telemetry.sinks import mcap as sink_module
-from kinetix_dist.telemetry.sinks.mcap import METADATA_NAME, McapSink, RolloutWriter
+from kinetix_dist.telemetry.sinks.mcap import METADATA_NAME, SCENE_TOPIC, TOPIC, McapSink, RolloutWriter
 from tests.helpers import REPOSITORY
 from tests.telemetry.worlds import GREY_TRIANGLE, LEVEL_JSON, decode_level, falling_rollout
 
@@ -37,6 +38,7 @@ SCALARS = (
     "policy_version",
     "seed",
     "step_seconds",
+    "action_names",
     "is_complete",
 )
 
@@ -75,11 +77,20 @@ def test_rollouts_read_back_as_they_were_written(tmp_path: Path) -> None:
     assert [rollout.outcome for rollout in recording.rollouts] == ["solved", "failed", "solved"]
 
 
+def test_a_recording_without_names_of_actions_has_their_numbers(tmp_path: Path) -> None:
+    writer = RolloutWriter(tmp_path / "a.mcap")
+    writer.write(dataclasses.replace(falling_rollout(3), action_names=()))
+    writer.finish()
+    [rollout] = read_recording(tmp_path / "a.mcap", decode_level).rollouts
+    assert rollout.action_names == ()
+    assert [name.words(1.0) for name in rollout.names_of_actions[:2]] == ["action 0: 1", "action 1: 1"]
+
+
 def test_the_mcap_library_decodes_the_messages_and_finds_the_level(tmp_path: Path) -> None:
     (written,) = record(tmp_path / "a.mcap", 1)
     with open(tmp_path / "a.mcap", "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
-        messages = [message for _, _, _, message in reader.iter_decoded_messages()]
+        messages = [message for _, _, _, message in reader.iter_decoded_messages([TOPIC])]
         (metadata,) = reader.iter_metadata()
     assert [message.step for message in messages] == list(range(11))
     np.testing.assert_array_equal(messages[7].position, written.position[7].ravel())
@@ -119,8 +130,8 @@ def test_a_rollout_whose_second_chunk_is_missing_is_cut(tmp_path: Path, monkeypa
     writer = RolloutWriter(path)
     rollout = falling_rollout(60)
     writer.write(rollout)
-    writer.abandon()
-    path.write_bytes(path.read_bytes()[: writer.num_bytes // 2])
+    writer.finish()
+    path.write_bytes(path.read_bytes()[: chunk_starts(path, TOPIC)[2] + 20])  # the first has the schemas
     recording = read_recording(path, decode_level)
     (read,) = recording.rollouts
     assert read.outcome == "cut"
@@ -133,7 +144,7 @@ def test_any_flipped_byte_is_told_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     written = record(path, 2)
     whole = path.read_bytes()
-    for position in range(0, len(whole), 7):  # every part of the file: magic, metadata, chunks, index, footer
+    for position in range(0, len(whole), 17):  # every part of the file: magic, metadata, chunks, index, footer
         damaged = bytearray(whole)
         damaged[position] ^= 0x10
         path.write_bytes(damaged)
@@ -152,20 +163,38 @@ def test_any_flipped_byte_is_told_in_one_line(tmp_path: Path) -> None:
 
 def test_damage_in_one_chunk_leaves_the_other_rollouts_whole(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    writer = RolloutWriter(path)
-    rollouts = [falling_rollout(30, seed=k) for k in range(3)]
-    ends = []
-    for rollout in rollouts:
-        writer.write(rollout)
-        ends.append(writer.num_bytes)
-    writer.finish()
-    data = bytearray(path.read_bytes())
-    data[(ends[0] + ends[1]) // 2] ^= 0xFF  # in the middle of the second rollout's chunk
-    path.write_bytes(data)
+    record(path, 3)
+    damage(path, chunk_starts(path, TOPIC)[1] + 200)  # of the second rollout
     recording = read_recording(path, decode_level)
     assert [rollout.seed for rollout in recording.rollouts] == [0, 2]
     (problem,) = recording.problems
     assert "chunk at byte" in problem and "damaged" in problem
+
+
+def test_damage_in_a_picture_leaves_every_rollout_whole(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    rollouts = record(path, 3)
+    damage(path, chunk_starts(path, SCENE_TOPIC)[1] + 200)
+    recording = read_recording(path, decode_level)
+    for read, original in zip(recording.rollouts, rollouts, strict=True):
+        assert_same(read, original)
+    (problem,) = recording.problems
+    assert "chunk at byte" in problem and "damaged" in problem
+
+
+def chunk_starts(path: Path, topic: str) -> list[int]:
+    """Bytes at which the chunks of a finished file with messages of a topic begin."""
+    with open(path, "rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    [channel] = [channel.id for channel in summary.channels.values() if channel.topic == topic]
+    return [chunk.chunk_start_offset for chunk in summary.chunk_indexes if channel in chunk.message_index_offsets]
+
+
+def damage(path: Path, position: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[position] ^= 0xFF
+    path.write_bytes(data)
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x89PNG\r\n\x1a\n" + bytes(100)])

@@ -20,6 +20,7 @@ from PIL import Image
 from jax2d.palette import ROLE_PALETTE
 from jax2d.scene import JointKind
 from kinetix_dist.level.level import Role
+from kinetix_dist.telemetry.recording import ActionName
 from kinetix_dist.telemetry.sinks.rerun import MOTOR_FORWARD, rollout_to_rrd, rollout_to_viewer
 from tests.helpers import PATIENCE_S
 from tests.telemetry.worlds import GREEN_BOX, GREY_TRIANGLE, falling_rollout, level
@@ -93,6 +94,21 @@ def test_rewards_and_actions_are_plotted(rrd: Path) -> None:
     np.testing.assert_allclose(np.array(column(rrd, "/return", "scalars"))[-1, 0], rollout.reward.sum(), atol=1e-5)
     for k in range(6):
         np.testing.assert_array_equal(np.array(column(rrd, f"/actions/{k}", "scalars"))[:, 0], rollout.actions[:, k])
+
+
+def test_actions_have_names_in_the_legend_and_in_words(tmp_path: Path) -> None:
+    names = (
+        *(ActionName(f"motor colour {colour}", ("off", "forward", "backward")) for colour in range(4)),
+        *(ActionName(f"thruster colour {colour}", ("off", "on")) for colour in range(2)),
+    )
+    rollout = falling_rollout(3)
+    actions = np.array([[2, 0, 0, 0, 1, 0], [2, 0, 0, 0, 1, 0], [1, 0, 0, 0, 1, 0]], np.float32)
+    rollout_to_rrd(dataclasses.replace(rollout, actions=actions, action_names=names), tmp_path / "a.rrd")
+    assert column(tmp_path / "a.rrd", "/actions/0", "names") == [["motor colour 0: 0 off, 1 forward, 2 backward"]]
+    first, later = (text for [text] in column(tmp_path / "a.rrd", "/action_words", "text"))
+    assert first.startswith("motor colour 0: backward, motor colour 1: off") and "thruster colour 0: on" in first
+    assert later == "motor colour 0: forward"  # step 1 repeats step 0
+    assert column(tmp_path / "a.rrd", "/action_words", "step") == [0, 2]
 
 
 def test_the_layout_is_in_the_file(rrd: Path) -> None:

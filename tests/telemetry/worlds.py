@@ -9,7 +9,7 @@ import numpy as np
 from jax2d.fields import empty
 from jax2d.scene import Capacity, JointKind, Joints, Scene, Shapes, Springs, Thrusters
 from kinetix_dist.level.level import Level, Role
-from kinetix_dist.telemetry.recording import Rollout
+from kinetix_dist.telemetry.recording import ActionName, Rollout
 
 GRAVITY = 9.81
 STEP_SECONDS = 1 / 30
@@ -137,4 +137,5 @@ def falling_rollout(num_steps: int = 20, seed: int = 0, *, solved: bool = True, 
         policy_version=3,
         seed=seed,
         step_seconds=STEP_SECONDS,
+        action_names=tuple(ActionName(f"motor colour {k}", ("off", "forward")) for k in range(6)),
     )

@@ -7,9 +7,10 @@ import dataclasses
 import jax.numpy as jnp
 
 from jax2d.scene import Array
-from kinetix_dist.env.action_spaces.space import ActionSpace, bound_colours
+from kinetix_dist.env.action_spaces.space import MOTOR_NAMES, THRUSTER_NAMES, ActionSpace, bound_colours
 from kinetix_dist.env.action_spaces.truncated_normal import TruncatedNormal
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
+from kinetix_dist.telemetry.recording import ActionName
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -24,6 +25,10 @@ class Continuous(ActionSpace):
     @property
     def distribution(self) -> TruncatedNormal:
         return TruncatedNormal(low=self.low, high=self.high)
+
+    @property
+    def action_names(self) -> tuple[ActionName, ...]:
+        return tuple(map(ActionName, (*MOTOR_NAMES, *THRUSTER_NAMES)))
 
     def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
         actions = jnp.where(allowed, actions, 0)

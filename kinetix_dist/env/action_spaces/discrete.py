@@ -11,8 +11,9 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array
 from kinetix_dist.env.action_spaces.categorical import OneCategorical
-from kinetix_dist.env.action_spaces.space import ActionSpace
+from kinetix_dist.env.action_spaces.space import MOTOR_NAMES, THRUSTER_NAMES, ActionSpace
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS
+from kinetix_dist.telemetry.recording import ActionName
 
 NOOP = 2 * NUM_MOTOR_COLOURS  # two directions of each motor colour come before it
 
@@ -31,6 +32,11 @@ class Discrete(ActionSpace):
     @property
     def distribution(self) -> OneCategorical:
         return OneCategorical(num_choices=int(self.high[0]) + 1)
+
+    @property
+    def action_names(self) -> tuple[ActionName, ...]:
+        motors = (f"{name} {way}" for name in MOTOR_NAMES for way in ("backward", "forward"))
+        return (ActionName("choice", (*motors, "nothing", *(f"{name} on" for name in THRUSTER_NAMES))),)
 
     def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
         choice = jnp.where(allowed, actions, NOOP)[:, None]

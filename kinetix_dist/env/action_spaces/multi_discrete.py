@@ -9,8 +9,9 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array
 from kinetix_dist.env.action_spaces.categorical import Categorical
-from kinetix_dist.env.action_spaces.space import ActionSpace, bound_colours
+from kinetix_dist.env.action_spaces.space import MOTOR_NAMES, THRUSTER_NAMES, ActionSpace, bound_colours
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level
+from kinetix_dist.telemetry.recording import ActionName
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -25,6 +26,11 @@ class MultiDiscrete(ActionSpace):
     @property
     def distribution(self) -> Categorical:
         return Categorical(head_sizes=tuple(int(high) + 1 for high in self.high))
+
+    @property
+    def action_names(self) -> tuple[ActionName, ...]:
+        motors = (ActionName(name, ("off", "forward", "backward")) for name in MOTOR_NAMES)
+        return (*motors, *(ActionName(name, ("off", "on")) for name in THRUSTER_NAMES))
 
     def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
         actions = jnp.where(allowed, actions, 0)

@@ -16,6 +16,7 @@ import numpy as np
 from jax2d.scene import Array, Controls
 from kinetix_dist import prng
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level, obeying_motors
+from kinetix_dist.telemetry.recording import ActionName
 
 
 class ActionDistribution(Protocol):
@@ -63,6 +64,11 @@ class ActionSpace(abc.ABC):
     @abc.abstractmethod
     def colour_values(self, actions: Array, allowed: Array) -> tuple[Array, Array]:
         """Value of each colour: motors [W, 4] in -1..1, thrusters [W, 2] in 0..1; off where not `allowed`."""
+
+    @property
+    def action_names(self) -> tuple[ActionName, ...]:
+        """Names of the dimensions and of their values, for recordings; a space that says nothing has numbers."""
+        return tuple(ActionName(f"action {number}") for number in range(self.num_dimensions))
 
     @property
     def has_bound_heads(self) -> bool:
@@ -133,6 +139,10 @@ class ActionSpace(abc.ABC):
                 f"action {np.asarray(actions)[index]} at {list(index)} is out of range; "
                 f"dimension {dimension} of {self.name} takes {self.low[dimension]:g} to {self.high[dimension]:g}"
             )
+
+
+MOTOR_NAMES = tuple(f"motor colour {colour}" for colour in range(NUM_MOTOR_COLOURS))
+THRUSTER_NAMES = tuple(f"thruster colour {colour}" for colour in range(NUM_THRUSTER_COLOURS))
 
 
 def bound_colours(levels: Level) -> Array:

@@ -51,6 +51,7 @@ class OngoingWorlds:
 
     levels: Level  # [W, ...]
     source: Array  # [W] int32, see `Proposal.source`
+    copy_of: Array | None  # [W] int32, see `Proposal.copy_of`
     episodes: Episodes
 
 
@@ -61,6 +62,7 @@ def begun(env: Environment, policy: Any, proposal: Proposal) -> OngoingWorlds:
     return OngoingWorlds(
         levels=proposal.levels,
         source=source_of(proposal),
+        copy_of=proposal.copy_of,
         episodes=Episodes(
             env_state=with_worlds_first(env_state),
             obs=obs,
@@ -101,5 +103,7 @@ def stored(worlds: OngoingWorlds, mesh: Mesh, division: Division) -> dict[str, n
 def restored(arrays: Mapping[str, np.ndarray], like: Any, mesh: Mesh, division: Division) -> OngoingWorlds:
     """Worlds from arrays of a checkpoint, without `WORLDS` in their names. like: shapes of `begun` of any number."""
     num_worlds = arrays["source"].shape[0]
+    # Checkpoints of versions without pairs have none, whatever the curriculum draws now.
+    like = dataclasses.replace(like, copy_of=like.source if "copy_of" in arrays else None)
     template = jax.tree.map(lambda x: jax.ShapeDtypeStruct((num_worlds, *x.shape[1:]), x.dtype), like)
     return spread_worlds(unflatten_arrays(template, arrays), mesh, division)

@@ -30,7 +30,7 @@ from kinetix_dist.env.records import EnvState, PreparedLevels
 from kinetix_dist.learner.division import Division
 from kinetix_dist.learner.sharding import DATA_AXIS, on_devices
 from kinetix_dist.level.fit import size_numbers
-from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.level import SIZES
 from kinetix_dist.messages import LevelOutcome, StaticInput
 from kinetix_dist.models.kernels.cuda_kernel import CUSTOM_CALLS
 from kinetix_dist.models.kernels.support import traced_for
@@ -44,7 +44,15 @@ from kinetix_dist.runtime.cores.ongoing_worlds import (
     with_worlds_last,
 )
 from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
-from kinetix_dist.runtime.cores.rollout_sums import BY_SOURCE, SIZES_PLAYED, attempt_sums, attempts_by, step_sums
+from kinetix_dist.runtime.cores.rollout_sums import (
+    BY_SOURCE,
+    FRESH_PAIRS,
+    SIZES_PLAYED,
+    attempt_sums,
+    attempts_by,
+    pairs_by_solved,
+    step_sums,
+)
 from kinetix_dist.runtime.cores.run_names import LEVELS, PLAY, stream
 
 CACHE = "rollouts"  # folder in the program cache
@@ -169,7 +177,7 @@ class RolloutCore:
             seen = dataclasses.replace(proposal, source=None), self._summarised(played)
         is_counted = self._is_counted(played)
         sums = step_sums(played.outcome, played.trajectory.rewards, is_counted)
-        return batch, seen, sums | self._attempts(proposal.levels, source_of(proposal), played.outcome, is_counted)
+        return batch, seen, sums | self._attempts(proposal, played.outcome, is_counted)
 
     def _reset_shard(self, state: Any, num_updates: Array) -> OngoingWorlds:
         return begun(self._env, self._policy, self._proposed(state, num_updates))
@@ -184,7 +192,8 @@ class RolloutCore:
         outcome, is_counted = joined(before.outcome, played.outcome), self._is_counted(played)
         sums = step_sums(played.outcome, played.trajectory.rewards, is_counted)
         is_last = (num_updates + 1) % self._config.rollout.reset_every == 0
-        sums |= self._attempts(worlds.levels, worlds.source, outcome, is_counted & is_last)
+        proposal = Proposal(levels=worlds.levels, source=worlds.source, copy_of=worlds.copy_of)
+        sums |= self._attempts(proposal, outcome, is_counted & is_last)
         env_state = with_worlds_first(played.env_state)
         return batch, Episodes(env_state=env_state, obs=played.obs, memory=played.memory, outcome=outcome), sums
 
@@ -240,13 +249,16 @@ class RolloutCore:
         batch = Batch(static, played.trajectory, played.last_value)
         return worlds_trained(batch, groups.size, config.num_trained_envs // config.rollout.num_groups), played
 
-    def _attempts(self, levels: Level, source: Array, outcome: LevelOutcome, is_counted: Array) -> dict[str, Any]:
+    def _attempts(self, proposal: Proposal, outcome: LevelOutcome, is_counted: Array) -> dict[str, Any]:
         """Sums of the first episodes of the worlds that count."""
         sums = attempt_sums(outcome, is_counted)
         # Also where no outcomes.jsonl is written: another program may round otherwise.
-        sums[BY_SOURCE] = attempts_by(source, outcome, is_counted, self._num_counted)
+        sums[BY_SOURCE] = attempts_by(source_of(proposal), outcome, is_counted, self._num_counted)
+        if proposal.copy_of is not None:
+            size = self._config.rollout.worlds_per_group
+            sums[BY_SOURCE][FRESH_PAIRS] = pairs_by_solved(proposal.copy_of, outcome, is_counted, size)
         if self._config.curriculum.sizes:
-            sums[SIZES_PLAYED] = attempts_by(size_numbers(levels), outcome, is_counted, len(SIZES))
+            sums[SIZES_PLAYED] = attempts_by(size_numbers(proposal.levels), outcome, is_counted, len(SIZES))
         return sums
 
     def _summarised(self, played: Played) -> LevelOutcome:

@@ -11,11 +11,14 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.scene import Array
+from kinetix_dist.curator.fresh_pairs import NO_COPY
 from kinetix_dist.learner.sharding import DATA_AXIS
 from kinetix_dist.messages import LevelOutcome
 
 SIZES_PLAYED = "sizes"  # in the sums of an update where sizes are mixed: by size, in the order of `SIZES`
-BY_SOURCE = "by_source"  # in the sums of an update: attempts of each source and slot of `Proposal.source`
+# In the sums of an update: "solved" and "attempts" of each source and slot of `Proposal.source`, and FRESH_PAIRS.
+BY_SOURCE = "by_source"
+FRESH_PAIRS = "fresh_pairs"  # pairs of `Proposal.copy_of` with 0, 1 and 2 attempts solved; absent where there are none
 
 
 def step_sums(outcome: LevelOutcome, rewards: Array, is_counted: Array) -> dict[str, Any]:
@@ -49,6 +52,15 @@ def attempts_by(group: Array, outcome: LevelOutcome, is_counted: Array, num_grou
     attempts = jnp.where(outcome.num_finished < 0, 0, 1)
     counts = {"solved": outcome.first_solved, "attempts": attempts}
     return {name: _totals_by(group, jnp.where(is_counted, count, 0), num_groups) for name, count in counts.items()}
+
+
+def pairs_by_solved(copy_of: Array, outcome: LevelOutcome, is_counted: Array, worlds_per_group: int) -> Array:
+    """Pairs of worlds with 0, 1 and 2 attempts solved, over all devices, each pair once: [3] int32. copy_of: as in
+    `Proposal`, of the worlds of this device, group by group."""
+    world, is_copy = jnp.arange(copy_of.shape[0]), copy_of != NO_COPY
+    original = world - world % worlds_per_group + jnp.where(is_copy, copy_of, 0)
+    num_solved = outcome.first_solved + outcome.first_solved[original]
+    return _totals_by(num_solved, (is_copy & is_counted).astype(jnp.int32), 3)
 
 
 def _totals_by(group: Array, count: Array, num_groups: int) -> Array:

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from kinetix_dist.curator.fresh_pairs import pair_learnability
+from kinetix_dist.curator.scores import learnability_now
 from kinetix_dist.level.level import SIZES
-from kinetix_dist.runtime.cores.rollout_sums import BY_SOURCE, SIZES_PLAYED
+from kinetix_dist.runtime.cores.rollout_sums import BY_SOURCE, FRESH_PAIRS, SIZES_PLAYED
 
 BUFFER = "buffer"  # the source of levels that are counted one by one, slot by slot
 
@@ -35,7 +37,7 @@ def training_metrics(
             "train/failed_rate": float(sums["failed"]) / attempts,
             "train/mean_return": float(sums["return"]) / attempts,
         }
-        metrics |= _by_source(sums[BY_SOURCE], sources)
+        metrics |= _by_source(sums[BY_SOURCE], sources) | _learnabilities(sums[BY_SOURCE], sources)
         if SIZES_PLAYED in sums:
             metrics |= _by_size(sums[SIZES_PLAYED])
     million_physics_steps = float(sums["steps"]) * frame_skip / 1e6
@@ -52,6 +54,19 @@ def _by_source(played: Mapping[str, Any], sources: Sequence[str]) -> dict[str, f
     if len(names) < 2:
         return {}
     return {f"train/solve_rate_of_{name}": rate for name, rate in zip(names, _rates(solved, attempts), strict=True)}
+
+
+def _learnabilities(played: Mapping[str, Any], sources: Sequence[str]) -> dict[str, float]:
+    """Learnability of what was played, without bias: of fresh levels from pairs of worlds, of a buffer from levels that
+    several worlds played."""
+    metrics = {}
+    if FRESH_PAIRS in played:
+        metrics["curriculum/fresh_learnability"] = pair_learnability(np.asarray(played[FRESH_PAIRS]))
+    solved, attempts = (np.asarray(played[name])[len(sources) :] for name in ("solved", "attempts"))
+    if sources and attempts.size:  # slots of a buffer; without sources those of a level set
+        now, error = learnability_now(solved, attempts)
+        metrics |= {"curriculum/learnability_now": float(now), "curriculum/learnability_now_error": float(error)}
+    return metrics
 
 
 def _with_slots_summed(counts: Any, num_sources: int) -> np.ndarray:

@@ -44,7 +44,7 @@ from kinetix_dist.runtime.driver.evaluations import (
 )
 from kinetix_dist.runtime.driver.refreshes import Refreshes
 from kinetix_dist.runtime.driver.roles import Curator, Reporter, Trainer
-from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY, RunData
+from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import StopFailedError, StoppedError, StopRequested, StopSignals
 from kinetix_dist.runtime.driver.totals import (
@@ -59,6 +59,7 @@ from kinetix_dist.runtime.driver.totals import (
 )
 from kinetix_dist.runtime.processes.failures import Loss, Losses, WorkerLostError
 from kinetix_dist.runtime.processes.provenance import versions, what_differs
+from kinetix_dist.telemetry.sinks import RANDOM_POLICY
 
 if TYPE_CHECKING:
     from kinetix_dist.runtime.driver.resizing import Resizing
@@ -106,6 +107,7 @@ class Controller:
         self._warmup_before = 0.0  # s of it, see `warmup_seconds`
         self._warmup: float | None = None  # s of this session; None: its first update is not done
         self.training_seconds_at_end = 0.0
+        self._is_good = False  # the last evaluation during training reached `run.stop_at`
         self.backend = roles.trainer.backend
         self._on_rollouts = on_rollouts
         self._refreshes = Refreshes(config, self._data, roles.trainer, roles.curator, clock=self.clock, stop=self.stop)
@@ -277,8 +279,9 @@ class Controller:
         evaluations = self._evaluations.after_update(self.num_updates, seconds, self.clock, is_last=self._is_over())
         for evaluated in evaluations:
             metrics |= evaluation_metrics(evaluated.rates, evaluated.update)
-            self._report_evaluation(evaluated)
         self._report(metrics)  # before the checkpoint: a run that is resumed there has the row already
+        for evaluated in evaluations:
+            self._report_evaluation(evaluated)
         # What the updates that are skipped began from is what to go back to.
         is_well = self._skipped.in_a_row == 0
         if is_well and _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
@@ -312,6 +315,8 @@ class Controller:
         self._data.evaluated("training", update, rates, reported_at=self.num_updates)
         seconds = round(evaluated.seconds, 3)
         self.run.event("evaluated", update=update, seconds=seconds, solve_rate=summaries(rates))
+        stop_at = self.config.run.stop_at
+        self._is_good = bool(stop_at) and all(rate["rate"] >= stop_at for rate in rates.values())
 
     def _report(self, metrics: dict[str, float]) -> None:
         self._saver.collect()
@@ -337,7 +342,7 @@ class Controller:
         }
         if self._saver.seconds is not None:
             metrics["runtime/save_seconds"] = self._saver.seconds
-        left = seconds_left(self.config.run, env_steps=self.env_steps, training_seconds=self.training_seconds)
+        left = seconds_left(self.config.run, env_steps=self.env_steps, training_seconds=self._counted_seconds)
         self._data.processes(self.num_updates, self.backend.processes())
         self.reporter.metrics(self.num_updates, metrics, left)
         physics_steps = steps_per_update * phase.config.env.frame_skip
@@ -365,7 +370,14 @@ class Controller:
         self.reporter.note(f"the updates before {left_at} were skipped: back to the checkpoint of {self.num_updates}")
 
     def _is_over(self) -> bool:
-        return is_over(self.config.run, env_steps=self.env_steps, training_seconds=self.training_seconds)
+        return self._is_good or is_over(
+            self.config.run, env_steps=self.env_steps, training_seconds=self._counted_seconds
+        )
+
+    @property
+    def _counted_seconds(self) -> float:
+        """Training time that `run.max_seconds` limits."""
+        return self.training_seconds - (0.0 if self.config.run.warmup_counts else self.warmup_seconds)
 
     # Checkpoints and recovery
 

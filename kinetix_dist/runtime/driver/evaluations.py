@@ -32,6 +32,7 @@ from kinetix_dist.runtime.processes.backend import BackgroundProcess, resolve
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.recording import Rollout
+from kinetix_dist.telemetry.sinks import evaluation_rates
 from kinetix_dist.telemetry.sinks.mcap import McapSink
 
 MAX_WAITING = 4
@@ -231,12 +232,7 @@ class Due:
 
 def evaluation_metrics(rates: Mapping[str, Mapping[str, Any]], num_updates: int) -> dict[str, float]:
     """Metrics of an evaluation (`telemetry.names`). rates: by level set, of the weights after so many updates."""
-    metrics = {
-        f"evaluation/{name}/{metric}": rate[field]
-        for name, rate in rates.items()
-        for metric, field in (("solve_rate", "rate"), ("low", "low"), ("high", "high"))
-    }
-    return metrics | {"evaluation/update": float(num_updates)}
+    return evaluation_rates(rates) | {"evaluation/update": float(num_updates)}
 
 
 def summaries(rates: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, float]]:

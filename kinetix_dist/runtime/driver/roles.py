@@ -10,6 +10,7 @@ import numpy as np
 
 from kinetix_dist.runtime.processes.backend import Backend
 from kinetix_dist.runtime.processes.placement import Placement
+from kinetix_dist.telemetry.sinks import Evaluation
 
 
 class Trainer(Protocol):
@@ -113,3 +114,6 @@ class Reporter(Protocol):
     def note(self, message: str) -> None: ...
 
     def metrics(self, num_updates: int, metrics: Mapping[str, float], seconds_left: float | None) -> None: ...
+
+    def evaluated(self, evaluation: Evaluation) -> None:
+        """An evaluation has come; during training after the metrics of the update at which it came."""

@@ -25,6 +25,7 @@ import numpy as np
 from kinetix_dist.checkpoint import select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum
+from kinetix_dist.runtime.cores.rollout_sums import FRESH_PAIRS
 from kinetix_dist.runtime.cores.run_names import CURRICULUM
 from kinetix_dist.runtime.driver.reporting import DROPPED_WRITES
 from kinetix_dist.runtime.driver.roles import Refresh, Reporter
@@ -38,11 +39,11 @@ from kinetix_dist.telemetry.curriculum_log import (
     is_outcomes,
 )
 from kinetix_dist.telemetry.json_lines import Row, utc_text
+from kinetix_dist.telemetry.sinks import Evaluation
 from kinetix_dist.telemetry.sinks.background import BackgroundSink, close_sinks
 from kinetix_dist.telemetry.sinks.jsonl import LinesSink
 
 FORMAT = 1  # of evaluations.jsonl and processes.jsonl
-RANDOM_POLICY = "random_policy"  # a phase in evaluations.jsonl
 MAX_QUEUED_SNAPSHOTS = 8  # each keeps a refresh in memory, 2 MB a thousand levels of size L
 PROCESSES_EVERY_S = 30.0
 
@@ -163,6 +164,10 @@ class RunData:
         }
         self._has_evaluated = True
         self._sink(self.run.evaluation_rows).write(reported_at, row)
+        summary = {name: {k: v for k, v in rate.items() if k != "levels"} for name, rate in rates.items()}
+        self.reporter.evaluated(
+            Evaluation(phase=phase, update=update, env_steps=row["env_steps"], reported_at=reported_at, rates=summary)
+        )
 
     def processes(self, num_updates: int, processes: Sequence[Mapping[str, Any]]) -> None:
         """Writes what they are at, if the last line is old enough, or some came or went since."""
@@ -276,8 +281,8 @@ class OutcomeWindow:
     ) -> list[dict[str, Any]]:
         """Takes the counts of the updates that led to `num_updates`; lines of windows that are over.
 
-        attempts: "solved" and "attempts", [sources + slots]; buffer: whose levels the slots hold, or None. sources: of
-        the curriculum, what the first counts are of.
+        attempts: "solved" and "attempts", [sources + slots], and FRESH_PAIRS where there are pairs; buffer: whose
+        levels the slots hold, or None. sources: of the curriculum, what the first counts are of.
         """
         lines = []
         since = num_updates - self._reset_every
@@ -301,12 +306,16 @@ class OutcomeWindow:
         if self._buffer is not None:
             line["buffer"] = self._buffer
         num_sources = len(self._sources)
-        if len(self._counts["solved"]) > num_sources:
-            line |= {name: counts[num_sources:].tolist() for name, counts in self._counts.items()}
+        by_source = {name: counts for name, counts in self._counts.items() if name != FRESH_PAIRS}
+        if len(by_source["solved"]) > num_sources:
+            line |= {name: counts[num_sources:].tolist() for name, counts in by_source.items()}
         line["sources"] = {
-            source: {name: int(counts[index]) for name, counts in self._counts.items()}
+            source: {name: int(counts[index]) for name, counts in by_source.items()}
             for index, source in enumerate(self._sources)
         }
+        if FRESH_PAIRS in self._counts:
+            none, one, both = self._counts[FRESH_PAIRS].tolist()
+            line[FRESH_PAIRS] = {"both": both, "one": one, "none": none}
         self._from_update, self._counts = num_updates, {}
         return [line]
 

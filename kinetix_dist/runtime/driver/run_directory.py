@@ -83,6 +83,7 @@ class RunDirectory:
     def __init__(self, path: Path, lock: IO[str]) -> None:
         self.path = path
         self.config: dict[str, Any] | None = None  # what config.json holds, once this session has written it
+        self.on_event: Callable[[dict[str, Any]], None] = lambda event: None  # takes each event, in any thread
         self._lock = lock
         self._event_log = EventLog(self.events)
 
@@ -198,7 +199,7 @@ class RunDirectory:
 
     def event(self, kind: str, **details: Any) -> None:
         """Appends to events.jsonl: time, kind (of `telemetry.event_names`), details. Never raises for the disk."""
-        self._event_log.add(kind, **details)
+        self.on_event(self._event_log.add(kind, **details))
 
     def write_pending_events(self) -> None:
         """Tries again what the disk did not take."""
@@ -320,8 +321,9 @@ class EventLog:
         self._pending: list[dict[str, Any]] = []  # could not be written so far
         self._num_dropped = 0
 
-    def add(self, kind: str, **details: Any) -> None:
-        """Writes an event now, or as soon as the disk takes it. Raises UnknownEventError for a kind without a name."""
+    def add(self, kind: str, **details: Any) -> dict[str, Any]:
+        """Writes an event now, or as soon as the disk takes it, and returns it. Raises UnknownEventError for a kind
+        without a name."""
         row = {"time": utc_text(), "event": check_event(kind), **details}
         with self._lock:
             if len(self._pending) < MAX_PENDING:
@@ -329,6 +331,7 @@ class EventLog:
             else:
                 self._num_dropped += 1
             self._write()
+        return row
 
     def write_pending(self) -> None:
         """Tries again to write what could not be written."""

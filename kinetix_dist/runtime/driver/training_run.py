@@ -24,7 +24,6 @@ from kinetix_dist.runtime.driver.evaluations import Evaluations, Recorder
 from kinetix_dist.runtime.driver.refreshes import CuratorClient, WorkerCurator
 from kinetix_dist.runtime.driver.reporting import STARTED, RunReporter
 from kinetix_dist.runtime.driver.roles import Curator, Trainer
-from kinetix_dist.runtime.driver.run_data import RANDOM_POLICY
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import (
     StopFailedError,
@@ -47,6 +46,7 @@ from kinetix_dist.runtime.processes.placement import (
 )
 from kinetix_dist.runtime.processes.provenance import check_nodes, versions
 from kinetix_dist.runtime.processes.ray_setup import use_token
+from kinetix_dist.telemetry.sinks import RANDOM_POLICY
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 from kinetix_dist.telemetry.status import FAILED, FINISHED, STOPPED
 
@@ -78,7 +78,13 @@ def train(
     stop.hint = f"; go on with --run {run.path} --resume"
     total_env_steps = config.run.total_env_steps
     console = console or ConsoleSink(total_env_steps=total_env_steps or None)
-    reporter = RunReporter(run, console, total_env_steps=total_env_steps, metrics_port=config.run.metrics_port)
+    reporter = RunReporter(
+        run,
+        console,
+        total_env_steps=total_env_steps,
+        metrics_port=config.run.metrics_port,
+        sinks=config.run.sinks,
+    )
     about = {"pid": os.getpid(), "host": socket.gethostname(), "session": reporter.session}
     run.event(STARTED, **about, resume=resume, config_hash=config.hash)
     try:

@@ -53,7 +53,8 @@ def group_curve(curves: Sequence[tuple[np.ndarray, np.ndarray]], *, statistic: s
     """Curve of a group of runs.
 
     curves: (x [n], y [n]) of each run, x rising, nan for a missing value. Runs are interpolated linearly between their
-    rows, and never beyond them. The band is nan where a single run has data. Raises ValueError for an unknown statistic.
+    rows, and never beyond them. The center is nan where a run of the group has no data: it would jump where a run ends.
+    The band is nan where a single run has data. Raises ValueError for an unknown statistic.
     """
     if statistic not in STATISTICS:
         raise ValueError(f"statistic {statistic!r} is none of {', '.join(STATISTICS)}")
@@ -73,7 +74,7 @@ def group_curve(curves: Sequence[tuple[np.ndarray, np.ndarray]], *, statistic: s
         chosen = mask_of.reshape(-1) == k
         present = values[masks[:, k]][:, chosen].T  # [points, runs]
         count = present.shape[1]
-        if not count:
+        if count < len(curves):
             continue
         center[chosen] = STATISTICS[statistic](present)
         if count > 1:

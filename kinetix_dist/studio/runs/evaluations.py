@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.studio.runs import run_files
-from kinetix_dist.studio.runs.run_files import last_row, member, read_object
+from kinetix_dist.studio.runs.run_files import damaged_lines, last_row, member, read_object
 from kinetix_dist.evaluation.intervals import interval_over_levels, wilson_interval
 from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.telemetry.json_lines import read_lines
@@ -35,7 +35,7 @@ def evaluations(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise run_files.RunFileError(f"{file.name} cannot be read ({error.strerror})") from error
     if lines.damaged:
-        problems.append(f"{len(lines.damaged)} lines of {file.name} are damaged and left out")
+        problems.append(damaged_lines(len(lines.damaged), file.name))
     if not lines.rows:
         return {"sets": _sets_without_levels(path), "without_levels": True, "problems": problems}
     newest = {(row["phase"], row["update"]): row for row in lines.rows}  # an evaluation that was repeated after a kill counts once

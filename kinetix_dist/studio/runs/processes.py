@@ -80,7 +80,7 @@ class Processes:
                     name: [_mean([self._lines[k].idle.get(name) for k in column]) for column in columns]
                     for name in names
                 },
-                "problems": [f"{damaged} lines of {run_files.PROCESSES} are damaged and left out"] if damaged else [],
+                "problems": [run_files.damaged_lines(damaged, run_files.PROCESSES)] if damaged else [],
             }
 
     def _read(self) -> None:

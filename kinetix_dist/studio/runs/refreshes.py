@@ -1,7 +1,7 @@
 """Summaries of a curriculum's refreshes: levels chosen, their solve rates in training, and learning measured by probes.
 
     curriculum/refresh_*.npz, buffer_*.npz --Refreshes--> one summary per file, cached until it changes
-    curriculum/outcomes.jsonl              --training_plays--> plays of each level while its buffer was in use
+    curriculum/outcomes.jsonl --Tail------> windows, --training_plays--> plays of each level while its buffer was in use
 
 The curator **claims** the plug-in learnability of the few episodes by which it chose a level. Since levels are chosen by
 their largest values, these are too high. Training plays other episodes: its estimate is unbiased for levels played
@@ -24,10 +24,13 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.studio.runs import run_files
+from kinetix_dist.studio.runs.fresh_pairs import FIELD as FRESH_PAIRS
+from kinetix_dist.studio.runs.fresh_pairs import is_pairs, learnability_of_pairs
 from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
 from kinetix_dist.telemetry.curriculum_log import (
     BUFFER,
+    KINDS,
     REFRESH,
     Snapshot,
     SnapshotError,
@@ -35,7 +38,7 @@ from kinetix_dist.telemetry.curriculum_log import (
     list_snapshots,
     read_snapshot,
 )
-from kinetix_dist.telemetry.json_lines import read_lines
+from kinetix_dist.telemetry.tail import Tail
 
 # Curricula that try some candidates again because of how they fared: solved / finished of these is no estimate of p.
 CHOOSES_WHILE_SCORING = ("sfl_slices",)
@@ -235,6 +238,8 @@ class Refreshes:
         self._path = path
         self._lock = threading.Lock()
         self._read: dict[Path, tuple[tuple[int, int], Snapshot]] = {}
+        self._outcomes = Tail(path / run_files.OUTCOMES, is_row=_is_window)
+        self._rows: list[dict[str, Any]] = []  # of outcomes, as far as it was read
 
     def read(self) -> tuple[list[Snapshot], list[dict[str, Any]], list[str]]:
         """Reads all snapshots without levels, oldest first, the windows of outcomes, and a line for each damaged file."""
@@ -242,11 +247,17 @@ class Refreshes:
             problems: list[str] = []
             return self._snapshots(problems), self._windows(problems), problems
 
+    def newest(self, count: int) -> tuple[list[Snapshot], list[dict[str, Any]], list[str]]:
+        """The same of the newest snapshots alone, so many of each kind."""
+        with self._lock:
+            problems: list[str] = []
+            return self._snapshots(problems, count), self._windows(problems), problems
+
     def summaries(self) -> dict[str, Any]:
         """Summaries {snapshots, windows, problems}; windows: of outcomes.
 
-        Snapshots come oldest first, each as `describe_snapshot`, with `training`, `probe` and `retained` (levels that
-        the snapshot before it had too) where known.
+        Snapshots come oldest first, each as `describe_snapshot`, with `training`, `fresh_pairs` (learnability of fresh
+        levels in the same windows), `probe` and `retained` (levels that the snapshot before it had too) where known.
         """
         snapshots, windows, problems = self.read()
         plays = training_plays(windows)
@@ -261,6 +272,7 @@ class Refreshes:
             before = next((other for other in reversed(snapshots[:position]) if other.kind == snapshot.kind), None)
             if snapshot.kind == REFRESH and snapshot.number in plays:
                 entry["training"] = describe_training(plays[snapshot.number])
+                entry["fresh_pairs"] = learnability_of_pairs(windows_of(windows, snapshot.number))
             if snapshot.kind == REFRESH and following is not None:
                 if following.arrays.get("probe/policy_version") == snapshot.number:
                     entry["probe"] = describe_probe(snapshot, following)
@@ -282,9 +294,13 @@ class Refreshes:
         with self._lock:
             return training_plays(self._windows([])).get(number)
 
-    def _snapshots(self, problems: list[str]) -> list[Snapshot]:
-        found = []
-        for _, _, path in list_snapshots(self._path / run_files.CURRICULUM):
+    def _snapshots(self, problems: list[str], newest: int | None = None) -> list[Snapshot]:
+        """newest: how many of each kind; None: all."""
+        listed, found = list_snapshots(self._path / run_files.CURRICULUM), []
+        if newest is not None:
+            kept = {path for kind in KINDS for _, _, path in [one for one in listed if one[0] == kind][-newest:]}
+            listed = [one for one in listed if one[2] in kept]
+        for _, _, path in listed:
             try:
                 found.append(self._snapshot(path))
             except SnapshotError as error:
@@ -301,19 +317,28 @@ class Refreshes:
         return self._read[path][1]
 
     def _windows(self, problems: list[str]) -> list[dict[str, Any]]:
-        file = self._path / run_files.OUTCOMES
-        try:
-            lines = read_lines(file, _is_window)
-        except OSError as error:
-            problems.append(f"{run_files.OUTCOMES} cannot be read ({error.strerror})")
-            return []
-        if lines.damaged:
-            problems.append(f"{len(lines.damaged)} lines of {run_files.OUTCOMES} are damaged and left out")
-        return lines.rows
+        bytes_left = 1
+        while bytes_left:
+            try:
+                found = self._outcomes.poll()
+            except OSError as error:
+                problems.append(f"{run_files.OUTCOMES} cannot be read ({error.strerror})")
+                return []
+            self._rows = [*([] if found.is_restarted else self._rows), *found.rows]
+            bytes_left = found.bytes_left
+        if damaged := self._outcomes.num_damaged:
+            problems.append(run_files.damaged_lines(damaged, run_files.OUTCOMES))
+        return self._rows
+
+
+def windows_of(windows: Iterable[Mapping[str, Any]], buffer: int) -> list[Mapping[str, Any]]:
+    """Windows in which the buffer of a refresh was in use."""
+    return [row for row in windows if row.get("buffer") == buffer]
 
 
 def _describe_window(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Window {from_update, update, sources: {name: rate}}; `buffer` is the source of levels that the window lists."""
+    """Window {from_update, update, sources: {name: rate}, fresh_pairs}; `buffer` is the source of levels that the
+    window lists, and fresh_pairs is None where the run does not record them."""
     sources = {name: rate(counts["solved"], counts["attempts"]) for name, counts in row["sources"].items()}
     if "solved" in row:
         sources = {"buffer": rate(sum(row["solved"]), sum(row["attempts"]))} | sources
@@ -321,12 +346,15 @@ def _describe_window(row: Mapping[str, Any]) -> dict[str, Any]:
         "from_update": row["from_update"],
         "update": row["update"],
         "sources": sources,
+        "fresh_pairs": learnability_of_pairs([row]),
     }
 
 
 def _is_window(row: dict[str, Any]) -> bool:
     """True for a line with all fields that are read; other lines count as damaged."""
     if not is_outcomes(row) or not isinstance(row.get("from_update"), int):
+        return False
+    if FRESH_PAIRS in row and not is_pairs(row[FRESH_PAIRS]):
         return False
     counts = [row.get("solved", []), row.get("attempts", [])]
     if not all(isinstance(values, list) and all(isinstance(v, int) for v in values) for values in counts):

@@ -70,6 +70,11 @@ def read_config(path: Path) -> dict[str, Any]:
     return member(read_object(path / CONFIG) or {}, "config", dict, file=CONFIG) or {}
 
 
+def damaged_lines(count: int, file: str) -> str:
+    """Problem of a file of JSON lines, in one line: "1 line is damaged in events.jsonl and left out"."""
+    return f"{count} {'line is' if count == 1 else 'lines are'} damaged in {file} and left out"
+
+
 def is_event(row: Row) -> bool:
     """True for a JSON object that is a row of events.jsonl."""
     return isinstance(row.get("event"), str)

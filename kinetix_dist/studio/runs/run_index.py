@@ -57,6 +57,7 @@ class RunStatus:
     update: int | None = None
     env_steps: int | None = None
     seconds_left: float | None = None
+    time: float | None = None  # unix time s at which the source was written
     problem: str | None = None  # of the status file
 
 
@@ -73,6 +74,12 @@ class RunIndex:
         for root in self._roots:
             if not any(run.is_relative_to(root) for run in self.runs.values()) and not _may_come(root):
                 raise UserError(f"{root} {NO_RUN}")
+
+    def add(self, path: Path) -> None:
+        """Adds a path, once. Raises UserError as for those of the start."""
+        root = _checked(path)
+        if root not in self._roots:
+            self._roots.append(root)
 
     def scan(self) -> dict[str, Path]:
         """Ids and directories of the runs that exist now."""
@@ -158,7 +165,8 @@ def status_of(path: Path) -> RunStatus:
     if status is None:
         return _status_by_files(path)
     state = judged(status)
-    age = _age(time.time() - utc_seconds(status.time))
+    written_at = utc_seconds(status.time)
+    age = _age(time.time() - written_at)
     text = {
         RUNNING: f"{status.phase}, written {age} ago by process {status.pid} on {status.host}",
         SILENT: f"no status for {age}, last in {status.phase} (process {status.pid} on {status.host})",
@@ -171,23 +179,26 @@ def status_of(path: Path) -> RunStatus:
         update=status.update,
         env_steps=status.env_steps,
         seconds_left=status.seconds_left if state == RUNNING else None,
+        time=written_at,
     )
 
 
 def _status_by_files(path: Path) -> RunStatus:
-    metrics = run_files.modified_at(path / run_files.METRICS)
+    files = (run_files.METRICS, run_files.EVENTS)
+    changed = max(filter(None, (run_files.modified_at(path / name) for name in files)), default=None)
     last_event = last_row(path / run_files.EVENTS, is_row=run_files.is_event).row or {}
     if last_event.get("event") in ("run_failed", "stopped"):
         state = FAILED if last_event["event"] == "run_failed" else STOPPED
-        return RunStatus(state=state, text=_text_of(last_event), source=run_files.EVENTS)
+        return RunStatus(state=state, text=_text_of(last_event), source=run_files.EVENTS, time=changed)
     if _is_reported(path):
-        return RunStatus(state=FINISHED, text="report.json is of the last update", source=run_files.REPORT)
-    changed = max(filter(None, (metrics, run_files.modified_at(path / run_files.EVENTS))), default=None)
+        text = "report.json is of the last update"
+        return RunStatus(state=FINISHED, text=text, source=run_files.REPORT, time=changed)
     if changed is None:
         return RunStatus(state="not started", text="no metrics and no events so far", source="files")
     age = time.time() - changed
     state = RUNNING if age < SILENT_AFTER_S else SILENT
-    return RunStatus(state=state, text=f"metrics or events written {_age(age)} ago", source="files")
+    text = f"metrics or events written {_age(age)} ago"
+    return RunStatus(state=state, text=text, source="files", time=changed)
 
 
 def _is_reported(path: Path) -> bool:

@@ -113,8 +113,7 @@ class RunReader:
     def _note_damage(self, name: str, tail: Tail) -> None:
         self.problems.pop(name, None)
         if tail.num_damaged:
-            lines = "line is" if tail.num_damaged == 1 else "lines are"
-            self.problems[name] = f"{tail.num_damaged} {lines} damaged in {name} and left out"
+            self.problems[name] = run_files.damaged_lines(tail.num_damaged, name)
 
 
 def _time_of(event: dict[str, Any]) -> float | None:

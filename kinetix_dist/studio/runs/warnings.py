@@ -38,7 +38,7 @@ def _recent(table: SeriesTable, name: str) -> np.ndarray:
 def _mean_above(name: str, limit: float) -> Rule:
     def check(table: SeriesTable) -> str | None:
         values = _recent(table, name)
-        return f"{values.mean():.3g} in the last {len(values)} rows" if len(values) and values.mean() > limit else None
+        return f"{values.mean():.3g} in the last {_rows(len(values))}" if len(values) and values.mean() > limit else None
 
     return Rule(name, f"mean of {RECENT_ROWS} rows above {limit:g}", check)
 
@@ -46,7 +46,7 @@ def _mean_above(name: str, limit: float) -> Rule:
 def _mean_below(name: str, limit: float) -> Rule:
     def check(table: SeriesTable) -> str | None:
         values = _recent(table, name)
-        return f"{values.mean():.3g} in the last {len(values)} rows" if len(values) and values.mean() < limit else None
+        return f"{values.mean():.3g} in the last {_rows(len(values))}" if len(values) and values.mean() < limit else None
 
     return Rule(name, f"mean of {RECENT_ROWS} rows below {limit:g}", check)
 
@@ -66,7 +66,7 @@ def _ever_above(name: str, limit: float) -> Rule:
         if not len(rows):
             return None
         updates = table.column("update")[rows]
-        return f"in {len(rows)} rows, last at update {updates[-1]:.0f}, highest {np.nanmax(column):.3g}"
+        return f"in {_rows(len(rows))}, last at update {updates[-1]:.0f}, highest {np.nanmax(column):.3g}"
 
     return Rule(name, f"any row above {limit:g}", check)
 
@@ -77,7 +77,7 @@ def _share_of_first(name: str, share: float) -> Rule:
         first, values = column[~np.isnan(column)][:1], _recent(table, name)
         if not len(first) or first[0] <= 0 or values.mean() >= share * first[0]:
             return None
-        return f"{values.mean():.3g} in the last {len(values)} rows, {first[0]:.3g} in the first"
+        return f"{values.mean():.3g} in the last {_rows(len(values))}, {first[0]:.3g} in the first"
 
     return Rule(name, f"mean of {RECENT_ROWS} rows below {share:.0%} of the first row", check)
 
@@ -132,3 +132,7 @@ def _falling_sets(evaluated: dict[str, Any]) -> list[dict[str, str]]:
                 }
             )
     return found
+
+
+def _rows(count: int) -> str:
+    return f"{count} row" if count == 1 else f"{count} rows"

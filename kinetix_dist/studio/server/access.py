@@ -27,6 +27,15 @@ TOKEN_BYTES = 24
 ICON = "static/icon.svg"
 ICON_LINK = f'<link rel="icon" href="{ICON}" type="image/svg+xml" />'
 ICON_PATHS = ("/favicon.ico", f"/{ICON}")  # open: a page without access has an icon too
+ENTER_SCRIPT = "static/enter.js"  # open: takes what is behind the # of an address along to where the token leads
+REFUSAL = "no access: open the address with its token that `kinetix-dist` printed"
+REFUSAL_PAGE = (
+    '<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+    f'<meta name="color-scheme" content="dark light"><title>kinetix-dist</title>{ICON_LINK}<p>{REFUSAL}</p>'
+    '<p><label>or paste that address here <input id="address" type="text" autocomplete="off" autofocus></label> '
+    '<button id="enter">go on</button></p><p id="problem" role="alert"></p>'
+    f'<script src="{ENTER_SCRIPT}"></script></html>'
+)
 LOOPBACK_NAMES = {"localhost", "127.0.0.1", "::1"}
 
 CONTENT_POLICY = (
@@ -63,7 +72,7 @@ class Access:
         self._cookie = secrets.token_urlsafe(TOKEN_BYTES)
         self._allowed = {name.lower() for name in allowed_hosts}
         self._own_names = LOOPBACK_NAMES | {socket.gethostname().lower() if _is_any(host) else host.lower()}
-        self._open_paths = (*ICON_PATHS, *open_paths)
+        self._open_paths = (*ICON_PATHS, f"/{ENTER_SCRIPT}", *open_paths)
         self._first_page = first_page
 
     @property
@@ -87,9 +96,9 @@ class Access:
         if "token" in request.query:
             return self._exchange(request)
         if not request.path.startswith(self._open_paths) and not self._has_cookie(request):
-            return web.Response(
-                status=401, text="no access: open the address with its token that `kinetix-dist` printed\n"
-            )
+            if request.path == "/" and "text/html" in request.headers.get("Accept", ""):
+                return web.Response(status=401, text=REFUSAL_PAGE, content_type="text/html")
+            return web.Response(status=401, text=REFUSAL + "\n")
         return await handler(request)
 
     def refusal_of_origin(self, host: str | None, origin: str | None) -> str | None:
@@ -108,16 +117,18 @@ class Access:
     def _exchange(self, request: web.Request) -> web.Response:
         """Page that leads on to the address without the token, with the cookie.
 
-        A redirect would carry no cookie of SameSite=Strict where a link of another site led here.
+        A redirect would carry no cookie of SameSite=Strict where a link of another site led here. A script leads on,
+        with what is behind #; without scripts a refresh.
         """
         if request.method != "GET" or not hmac.compare_digest(request.query["token"].encode(), self.token.encode()):
             return web.Response(
                 status=401, text="wrong token: it is new with every start; use the address that was printed last\n"
             )
         there = f"./{self._first_page}"
-        refresh = f'<meta http-equiv="refresh" content="0;url={there}">'
+        refresh = f'<noscript><meta http-equiv="refresh" content="0;url={there}"></noscript>'
+        script = f'<script src="{ENTER_SCRIPT}" data-there="{self._first_page}"></script>'
         response = web.Response(
-            text=f'<!doctype html>{ICON_LINK}{refresh}<a href="{there}">go on</a>', content_type="text/html"
+            text=f'<!doctype html>{ICON_LINK}{refresh}{script}<a href="{there}">go on</a>', content_type="text/html"
         )
         response.set_cookie(self.cookie_name, self._cookie, httponly=True, samesite="Strict", path="/")
         return response

@@ -2,6 +2,7 @@
 
     browser --HTTP, one websocket--> app --(threads)--> run directories, read only
                                       |--(pipe)--> engine worker: draws, plays and decodes levels
+                                      |--> `kinetix-dist finetune` or `levels solve`, one at a time (teaching.py)
 
 Every response is made from files when it is requested. Only runs that were read are cached.
 """
@@ -21,17 +22,23 @@ from pathlib import Path
 from aiohttp import web
 
 from kinetix_dist.errors import UserError, one_line
+from kinetix_dist.evaluation.intervals import t_95
 from kinetix_dist.studio.runs.run_files import RunFileError
 from kinetix_dist.studio.runs.series import AxisError
 from kinetix_dist.studio.runs.snapshot_levels import LevelQueryError
 from kinetix_dist.studio.server.access import Access, Handler
 from kinetix_dist.studio.server.channel import Channel
+from kinetix_dist.studio.server.compare_pages import ComparePages
 from kinetix_dist.studio.server.editor_pages import EditorConfig, EditorPages
+from kinetix_dist.studio.server.evaluation_pages import EvaluationPages
 from kinetix_dist.studio.server.level_pages import CurriculumPages, LevelPages, worker_error_response
 from kinetix_dist.studio.server.rerun_viewer import OPEN_PATH, RerunViewer
 from kinetix_dist.studio.server.responses import BadRequestError, StaticFiles, error_response
-from kinetix_dist.studio.server.run_pages import ComparePages, RunPages
+from kinetix_dist.studio.server.run_pages import RunPages
 from kinetix_dist.studio.server.run_service import RunService, UnknownRunError
+from kinetix_dist.studio.server.teaching import Teaching
+from kinetix_dist.studio.server.teaching_pages import TeachingPages
+from kinetix_dist.studio.server.verdict_pages import VerdictPages
 from kinetix_dist.studio.server.worker_client import WorkerClient, WorkerError
 from kinetix_dist.telemetry.curriculum_log import SnapshotError
 
@@ -45,6 +52,7 @@ class ServerConfig:
     """Runs that are served, where, and to whom."""
 
     paths: tuple[Path, ...] = (Path("runs"),)  # runs, and directories of runs
+    optional_paths: tuple[Path, ...] = ()  # directories whose runs are served if they exist and hold any
     port: int = DEFAULT_PORT
     host: str = "127.0.0.1"
     allowed_hosts: tuple[str, ...] = ()  # further names in Host and Origin, such as a proxy's
@@ -56,7 +64,11 @@ class ServerConfig:
 def make_app(config: ServerConfig, access: Access) -> web.Application:
     """Application with all pages. Raises UserError for paths that hold no runs."""
     service = RunService(config.paths)
+    for path in (*config.optional_paths, config.editor.results):
+        if path.is_dir():
+            service.add(path)
     worker = WorkerClient(is_allowed=config.has_play)
+    teaching = Teaching(config.editor.results, worker, service)
     channels: set[Channel] = set()
 
     async def open_channel(request: web.Request) -> web.StreamResponse:
@@ -71,27 +83,32 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
         for channel in list(channels):
             await channel.close()
 
-    async def end_worker(app: web.Application) -> None:
+    async def end_processes(app: web.Application) -> None:
+        await teaching.cancel()
         await worker.close()
 
     middlewares = [access.middleware, one_line_errors, _find_new_runs(service)]
     app = web.Application(middlewares=middlewares, client_max_size=MAX_BODY_BYTES)
     app.on_response_prepare.append(access.add_headers)
     rerun = RerunViewer(service, worker)
+    curricula = CurriculumPages(service)
     for pages in (
         RunPages(service),
         ComparePages(service),
-        CurriculumPages(service),
+        curricula,
+        VerdictPages(service, curricula),
         LevelPages(service, worker),
+        EvaluationPages(service, worker),
         EditorPages(config.editor, worker),
+        TeachingPages(teaching),
         StaticFiles(),
         rerun,
     ):
         app.add_routes(pages.routes())
     app.add_routes([web.get("/channel", open_channel)])
-    app.cleanup_ctx.extend((_following(service), rerun.lifetime))
+    app.cleanup_ctx.extend((_following(service), rerun.lifetime, _loading))
     app.on_shutdown.append(close_channels)
-    app.on_cleanup.append(end_worker)
+    app.on_cleanup.append(end_processes)
     return app
 
 
@@ -139,6 +156,13 @@ def _following(service: RunService) -> Callable[[web.Application], AsyncIterator
             await task
 
     return follow
+
+
+async def _loading(app: web.Application) -> AsyncIterator[None]:
+    """Imports scipy, which quantiles of intervals need, before a page waits for it: a second on a busy core."""
+    task = asyncio.create_task(asyncio.to_thread(t_95, 1))
+    yield
+    await task
 
 
 MAX_PORTS = 50  # that are tried, from the requested one on

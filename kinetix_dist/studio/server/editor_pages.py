@@ -15,6 +15,7 @@ import asyncio
 import dataclasses
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from aiohttp import web
@@ -37,6 +38,7 @@ class EditorConfig:
     opens: str | None = None
     # Who plays it at once: "keys", "random", "noop" or "checkpoint:generalist"; None: it is shown for editing.
     plays: str | None = None
+    results: Path = Path("runs/taught")  # directory for what `teach it` and `solve it` make
 
 
 class EditorPages:

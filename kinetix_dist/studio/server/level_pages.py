@@ -14,6 +14,7 @@ from typing import Any
 from aiohttp import web
 
 from kinetix_dist.studio.runs import run_files
+from kinetix_dist.studio.runs.first_buffer import first_buffer, first_outcomes
 from kinetix_dist.studio.runs.refreshes import Refreshes
 from kinetix_dist.studio.runs.snapshot_levels import level_history, level_page
 from kinetix_dist.studio.server.responses import (
@@ -27,6 +28,7 @@ from kinetix_dist.studio.server.run_service import RunService, UnknownRunError
 from kinetix_dist.studio.server.worker_client import OFF, WorkerClient, WorkerError
 from kinetix_dist.studio.worker.wire import BAD_REQUEST, BUSY, NOT_FOUND, TOO_LARGE
 from kinetix_dist.telemetry.curriculum_log import REFRESH
+from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 
 MAX_THUMBNAILS = 1024  # of one request
 STATUS_OF_CODE = {BAD_REQUEST: 400, NOT_FOUND: 404, TOO_LARGE: 413, BUSY: 503, OFF: 503}
@@ -55,7 +57,7 @@ class LevelPages:
 
     async def thumbnails(self, request: web.Request) -> web.Response:
         """Pictures of levels: ?indices=0,1,2 gives [{index, display, poses}]."""
-        indices = _indices(request.query.get("indices", ""))
+        indices = indices_of(request.query.get("indices", ""))
         kind = request.match_info["kind"]
         fields = {
             "run": str(self._service.path_of(request.match_info["run"])),
@@ -63,10 +65,7 @@ class LevelPages:
             "indices": indices,
         }
         reply = await self._worker.request("thumbnails", fields)
-        response = web.Response(body=reply.body, content_type="application/json", charset="utf-8")
-        if len(reply.body) >= COMPRESS_FROM_BYTES:
-            response.enable_compression()
-        return response
+        return thumbnails_response(reply.body)
 
     async def document(self, request: web.Request) -> web.Response:
         """Download of a level as a file in our format."""
@@ -74,9 +73,7 @@ class LevelPages:
         level = {"run": str(self._service.path_of(info["run"])), info["kind"]: int(info["number"])}
         reply = await self._worker.request("document", {"level": {**level, "index": int(info["index"])}})
         name = f"{info['run']}_{info['kind']}_{int(info['number'])}_{int(info['index'])}.json"
-        response = web.Response(text=json.dumps(reply.content["document"], indent=2), content_type="application/json")
-        response.headers["Content-Disposition"] = f'attachment; filename="{name.encode("ascii", "replace").decode()}"'
-        return response
+        return document_response(reply.content["document"], name)
 
     async def recordings(self, request: web.Request) -> web.Response:
         """Recordings {files: [{file, path, bytes, modified, rollouts, problems}]}, newest first."""
@@ -140,7 +137,22 @@ def worker_error_response(error: WorkerError) -> web.Response:
     return error_response(STATUS_OF_CODE.get(error.code, 502), str(error))
 
 
-def _indices(text: str) -> list[int]:
+def thumbnails_response(body: bytes) -> web.Response:
+    """Pictures of levels as the engine worker sends them, JSON."""
+    response = web.Response(body=body, content_type="application/json", charset="utf-8")
+    if len(body) >= COMPRESS_FROM_BYTES:
+        response.enable_compression()
+    return response
+
+
+def document_response(document: dict[str, Any], name: str) -> web.Response:
+    """Download of a level file."""
+    response = web.Response(text=json.dumps(document, indent=2), content_type="application/json")
+    response.headers["Content-Disposition"] = f'attachment; filename="{name.encode("ascii", "replace").decode()}"'
+    return response
+
+
+def indices_of(text: str) -> list[int]:
     parts = text.split(",") if text else []
     if not all(part.isascii() and part.isdigit() and len(part) < 9 for part in parts) or len(parts) > MAX_THUMBNAILS:
         raise BadRequestError(f"indices is {text[:40]!r}; give up to {MAX_THUMBNAILS} numbers, as 0,1,2")
@@ -168,8 +180,14 @@ class CurriculumPages:
         ]
 
     async def curriculum(self, request: web.Request) -> web.Response:
-        """Summaries of all snapshots, see `refreshes.Refreshes.summaries`."""
-        return json_response(await asyncio.to_thread(self._of(request).summaries))
+        """Summaries of all snapshots, see `refreshes.Refreshes.summaries`; `expected`: sentences {buffer, outcomes}
+        about what is not there yet."""
+        refreshes, path = self._of(request), self._service.path_of(request.match_info["run"])
+
+        def answer() -> dict:
+            return refreshes.summaries() | {"expected": _expected(path)}
+
+        return json_response(await asyncio.to_thread(answer))
 
     async def levels(self, request: web.Request) -> web.Response:
         """Levels of a snapshot: ?sort=score&order=down&filter=joints>=1&offset=0&limit=96, see `level_page`."""
@@ -213,5 +231,19 @@ class CurriculumPages:
         return json_response(await asyncio.to_thread(answer))
 
     def _of(self, request: web.Request) -> Refreshes:
-        path = self._service.path_of(request.match_info["run"])
+        return self.refreshes_of(self._service.path_of(request.match_info["run"]))
+
+    def refreshes_of(self, path: Path) -> Refreshes:
+        """The one reader of snapshots of a run directory."""
         return self._refreshes.setdefault(path, Refreshes(path))
+
+
+def _expected(path: Path) -> dict[str, str]:
+    """Sentences about the first buffer and the first counts of a run."""
+    try:
+        config = run_files.read_config(path)
+    except run_files.RunFileError as error:
+        return {"buffer": f"{error}.", "outcomes": f"{error}."}
+    last = run_files.last_row(path / run_files.METRICS, is_row=is_metrics_row).row or {}
+    update = last.get("update")
+    return {"buffer": first_buffer(config, update), "outcomes": first_outcomes(config, update)}

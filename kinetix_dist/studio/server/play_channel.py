@@ -27,6 +27,7 @@ REQUESTS = (
     "convert",
     "mutate",
     "generate",
+    "mechanism",
 )
 MAX_REQUESTS = 32  # of one page at a time
 

@@ -49,6 +49,15 @@ class RunService:
             raise UnknownRunError(f"there is no run {run_id!r}; the page of runs lists those that are there")
         return self.index.runs[run_id]
 
+    def add(self, path: Path) -> None:
+        """Serves the runs below another directory, too. Raises UserError where it cannot be read."""
+        self.index.add(path)
+
+    async def id_of(self, path: Path) -> str | None:
+        """Name in addresses of the run in a directory; None where it is no run."""
+        await self._scan_now()
+        return next((name for name, run in self.index.runs.items() if run == path.resolve()), None)
+
     async def look_for(self, run_id: str) -> None:
         """Scans for a run that is not known yet: its page may be opened before the list of runs."""
         if run_id not in self.index.runs:

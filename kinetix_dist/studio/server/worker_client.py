@@ -25,6 +25,7 @@ START_SECONDS = 120.0  # importing jax on a busy machine
 END_SECONDS = 3.0
 LOG_BYTES = 4096  # of its standard error, for the reason of its end
 GONE, HUNG, OFF = "gone", "hung", "off"  # codes of errors that are not the worker's
+NO_WORKER = "levels are not drawn or played here: the server was started with --no-play"
 
 WORKER = "kinetix_dist.studio.worker.process"
 
@@ -55,6 +56,11 @@ class WorkerClient:
         """Process id of the running worker; None: none runs."""
         return self._worker.process.pid if self._worker is not None and self._worker.is_alive else None
 
+    @property
+    def is_off(self) -> bool:
+        """True where no worker may be started."""
+        return not self._is_allowed
+
     async def hello(self) -> dict[str, Any]:
         """First message of the worker: sizes, palette, generators. Starts the worker."""
         return (await self._running()).hello
@@ -82,8 +88,8 @@ class WorkerClient:
             await self._worker.close()
 
     async def _running(self) -> _Worker:
-        if not self._is_allowed:
-            raise WorkerError(OFF, "levels are not drawn or played here: the server was started with --no-play")
+        if self.is_off:
+            raise WorkerError(OFF, NO_WORKER)
         async with self._starting:
             if self._worker is not None and not self._worker.is_alive:
                 await self._worker.close()

@@ -2,6 +2,7 @@
 import { addressOf, useAddress } from "./base/address.js";
 import { channel, useConnection } from "./base/channel.js";
 import { html, render } from "./base/html.js";
+import { usePanelOfAddress } from "./base/panel_link.js";
 import { restoreTheme, toggleTheme } from "./base/theme.js";
 import { ComparePage } from "./dashboard/compare.js";
 import { CurriculumPage } from "./dashboard/curriculum.js";
@@ -22,7 +23,9 @@ const RUN_PAGES = {
 };
 
 function App() {
-  const { parts, query } = useAddress();
+  const address = useAddress();
+  const { parts, query } = address;
+  usePanelOfAddress(address);
   const [area = "runs", id, page = "overview"] = parts;
   const run = area === "run" ? id : null;
   return html`<nav>

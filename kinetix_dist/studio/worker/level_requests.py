@@ -14,17 +14,20 @@ from jax2d.display_list import DisplayList, display_list
 from jax2d.scene import Array, Capacity
 from kinetix_dist import prng
 from kinetix_dist.level.document import LevelInfo, level_to_json
-from kinetix_dist.level.fit import capacity_of
+from kinetix_dist.level.fit import capacity_of, smallest_size
 from kinetix_dist.level.generator import generate_filtered
 from kinetix_dist.level.generator_config import GENERATORS, GeneratorConfig, generator
 from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.level import SIZES, Level
+from kinetix_dist.level.mechanisms.ready_made import READY_MADE, ready_made_level
 from kinetix_dist.level.mutators import MUTATORS, apply, mutate
 from kinetix_dist.level.simulation import noop_solved
 from kinetix_dist.level.start_warnings import noop_warning
+from kinetix_dist.level.validate import MissingRoleError
 from kinetix_dist.studio.worker import programs
 from kinetix_dist.studio.worker.attempts import steps_until_noop_solves
 from kinetix_dist.studio.worker.document_check import check_document
+from kinetix_dist.studio.worker.evaluated_sets import check_names, evaluated_set, features_of_set
 from kinetix_dist.studio.worker.levels import (
     LevelsLeftOutError,
     RequestedLevel,
@@ -32,6 +35,7 @@ from kinetix_dist.studio.worker.levels import (
     document_of,
     level_of,
     level_of_document,
+    level_of_set,
     recording_of,
     rollout_of,
     snapshot_levels,
@@ -57,7 +61,12 @@ def check(request: Request) -> Answer:
     plays = request.flag("play", default=True)
     checked = check_document(request.fields.get("document"))
     problems = [
-        {"path": problem.path, "problem": problem.problem, "remedy": problem.remedy}
+        {
+            "path": problem.path,
+            "problem": problem.problem,
+            "remedy": problem.remedy,
+            "missing_role": problem.role if isinstance(problem, MissingRoleError) else None,
+        }
         for problem in checked.problems[:MAX_LISTED]
     ]
     answer: dict[str, Any] = {"problems": problems, "num_problems": len(checked.problems)}
@@ -84,26 +93,63 @@ def document(request: Request) -> Answer:
 
 
 def thumbnails(request: Request) -> Answer:
-    """Pictures of levels of a snapshot, none where it stores no levels. The JSON is the body, to be forwarded."""
-    kind = next((kind for kind in KINDS if kind in request.fields), None)
-    if kind is None:
-        raise RequestError(BAD_REQUEST, f"thumbnails: give {' or '.join(KINDS)}")
-    path = snapshot_path(request.path("run"), kind, request.number(kind, low=0, high=10**8 - 1))
-    indices = request.fields.get("indices")
-    if not isinstance(indices, list) or len(indices) > MAX_THUMBNAILS or any(type(i) is not int for i in indices):
-        raise RequestError(BAD_REQUEST, f"thumbnails: indices is no list of at most {MAX_THUMBNAILS} whole numbers")
-    try:
-        levels = snapshot_levels(path)
-    except LevelsLeftOutError:
-        return {"count": 0}, b"[]"
+    """Pictures of levels of a snapshot, none where it stores no levels, or of an evaluation set of a run.
+
+    The JSON is the body, to be forwarded.
+    """
+    indices = _indices(request)
+    if "set" in request.fields:
+        found = evaluated_set(str(request.path("run")), request.fields["set"])
+        levels, where = found.levels, f"set {found.name} has levels"
+    else:
+        kind = next((kind for kind in KINDS if kind in request.fields), None)
+        if kind is None:
+            raise RequestError(BAD_REQUEST, f"thumbnails: give set, {' or '.join(KINDS)}")
+        path = snapshot_path(request.path("run"), kind, request.number(kind, low=0, high=10**8 - 1))
+        try:
+            levels, where = snapshot_levels(path), f"{path} has levels"
+        except LevelsLeftOutError:
+            return {"count": 0}, b"[]"
     entries = []
     for index in indices:
         request.check_cancelled()
-        check_index(index, len(levels.angle), f"{path} has levels")
+        check_index(index, len(levels.angle), where)
         level = jax.tree.map(lambda x: x[index], levels)  # noqa: B023 (called at once)
         # Text at once: a hundred thousand lists at a time would keep Python's collector busy.
         entries.append(json.dumps({"index": index, **_picture(level)}, allow_nan=False, separators=(",", ":")))
     return {"count": len(entries)}, f"[{','.join(entries)}]".encode()
+
+
+def evaluation_set(request: Request) -> Answer:
+    """Names, size and features of the levels of a set that a run is evaluated on."""
+    request.progress("building the set")
+    found = evaluated_set(str(request.path("run")), request.fields.get("set"))
+    return {"size": found.size, "names": list(found.level_names), "features": features_of_set(found.levels)}, b""
+
+
+def documents(request: Request) -> Answer:
+    """Names and documents of levels of an evaluation set. The JSON is the body: a list of [name, document]."""
+    found = evaluated_set(str(request.path("run")), request.fields.get("set"))
+    entries = []
+    for index in _indices(request):
+        request.check_cancelled()
+        check_names(found, index, None)
+        entries.append([found.level_names[index], document_of(level_of_set(found, index))])
+    return {"count": len(entries)}, json.dumps(entries, allow_nan=False).encode()
+
+
+def is_of_set(fields: dict[str, Any]) -> bool:
+    """True for a request about levels of an evaluation set, which may have to be drawn first."""
+    level = fields.get("level")
+    return "set" in fields or (isinstance(level, dict) and "set" in level)
+
+
+def _indices(request: Request) -> list[int]:
+    indices = request.fields.get("indices")
+    if not isinstance(indices, list) or len(indices) > MAX_THUMBNAILS or any(type(i) is not int for i in indices):
+        text = f"indices is no list of at most {MAX_THUMBNAILS} whole numbers"
+        raise RequestError(BAD_REQUEST, f"{request.fields['type']}: {text}")
+    return indices
 
 
 def recordings(request: Request) -> Answer:
@@ -183,6 +229,14 @@ def generate(request: Request) -> Answer:
         for i in range(count)
     ]
     return {"documents": documents}, b""
+
+
+def mechanism(request: Request) -> Answer:
+    """Shapes, joints and thrusters of a ready-made mechanism, where it stands in an empty level."""
+    name, size = request.choice("mechanism", READY_MADE), request.choice("size", SIZES)
+    level = ready_made_level(name, size)
+    document = level_to_json(level, LevelInfo(name=name, size=smallest_size(level)))
+    return {part: document[part] for part in ("shapes", "joints", "thrusters")}, b""
 
 
 @functools.partial(jax.jit, static_argnames=("name", "capacity", "config"))

@@ -1,4 +1,4 @@
-"""Levels of requests: documents, arrays of a snapshot of a run's buffer, states of recordings."""
+"""Levels of requests: documents, levels of a run's buffer and of its evaluation sets, states of recordings."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ import numpy as np
 from jax2d.fields import tree_like
 from kinetix_dist.checkpoint import ArrayMismatchError, unflatten_arrays
 from kinetix_dist.errors import one_line
+from kinetix_dist.evaluation.evaluation_sets import EvaluationSet
 from kinetix_dist.evaluation.recordings import read_rollouts
 from kinetix_dist.level.document import level_to_json
 from kinetix_dist.level.fit import capacity_of, fit_level, smallest_size
 from kinetix_dist.level.kinetix_format import is_kinetix_document, read_kinetix
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.level.schema import LevelInfo, document_info, level_from_json
+from kinetix_dist.studio.worker.evaluated_sets import check_names, document_of_file, evaluated_set
 from kinetix_dist.studio.worker.wire import BAD_REQUEST, NOT_FOUND, RequestError
 from kinetix_dist.telemetry.curriculum_log import DIRECTORY, KINDS, SnapshotError, read_snapshot, snapshot_name
 from kinetix_dist.telemetry.recording import Recording, RecordingError, Rollout
@@ -48,11 +50,14 @@ def level_of(given: Any) -> RequestedLevel:
         return level_of_document(given["document"])
     if "recording" in given:
         return _of_recording(Path(_text(given, "recording")), _number(given, "index"), _number(given, "step", 0))
+    if "set" in given:
+        return _of_set(given)
     for kind in KINDS:
         if kind in given:
             path = snapshot_path(Path(_text(given, "run")), kind, _number(given, kind))
             return _of_snapshot(path, _number(given, "index"))
-    raise RequestError(BAD_REQUEST, 'level has neither "document", "recording", "refresh" nor "buffer"; give one')
+    known = ", ".join(f'"{name}"' for name in ("document", "recording", "set", *KINDS))
+    raise RequestError(BAD_REQUEST, f"level has none of {known}; give one")
 
 
 def level_of_document(document: Any) -> RequestedLevel:
@@ -109,6 +114,20 @@ def _of_snapshot(path: Path, index: int) -> RequestedLevel:
     check_index(index, len(levels.angle), f"{path} has levels")
     level = jax.tree.map(lambda x: x[index], levels)
     return RequestedLevel(level=level, info=LevelInfo(name=f"{path.stem}_{index}", size=size_of(level)))
+
+
+def _of_set(given: Mapping[str, Any]) -> RequestedLevel:
+    """Level of a set that a run is evaluated on; it is drawn where it was not requested before."""
+    found, index = evaluated_set(_text(given, "run"), given["set"]), _number(given, "index")
+    check_names(found, index, given.get("name"))
+    return level_of_set(found, index)
+
+
+def level_of_set(found: EvaluationSet, index: int) -> RequestedLevel:
+    """Level in the arrays that it was played in, with the document of its file where it has one."""
+    level = jax.tree.map(lambda x: x[index], found.levels)
+    info = LevelInfo(name=found.level_names[index], size=found.size, source=f"level set {found.name}")
+    return RequestedLevel(level=level, info=info, document=document_of_file(found.name, index))
 
 
 def size_of(levels: Level) -> str:

@@ -169,14 +169,13 @@ def attempts(request: Request) -> Answer:
     begin, compiled_before = time.monotonic(), compile_seconds()
     num_attempts = request.number("attempts", low=1, high=MAX_ATTEMPTS, default=64)
     seed = request.number("seed", low=0, high=MAX_SEED, default=0)
-    if request.fields.get("policy") == KEYS:
-        raise RequestError(BAD_REQUEST, "attempts: policy is keys; give one that plays alone")
     given = level_of(request.fields.get("level"))
     policy = policy_of(request.fields.get("policy"))
     env_config = env_of(request.fields.get("env"), given.info.size, policy.trained)
     request.progress("compiling", done=0, total=num_attempts, solved=0)
     actor = policy.actor(env_config, given.level)
-    assert actor.player is not None  # keys were refused
+    if actor.player is None:
+        raise RequestError(BAD_REQUEST, f"attempts: policy is {policy.kind}; give one that plays alone")
     num_attempts = distinct_attempts(actor.player.policy, num_attempts)
 
     def report(progress: Progress) -> None:

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jax2d.scene import stack_worlds
 from jax2d.settings import preset
 from kinetix_dist.config import from_dict_for_playing
@@ -16,9 +18,9 @@ from kinetix_dist.errors import one_line, user_errors
 from kinetix_dist.evaluation.policies import NoopPolicy, Player, RandomPolicy
 from kinetix_dist.level.level import Level
 from kinetix_dist.studio.worker import programs
+from kinetix_dist.studio.worker.run_config import config_of_run
 from kinetix_dist.studio.worker.session import PERSON_SPACE, Actor
-from kinetix_dist.studio.worker.wire import BAD_REQUEST, CANCELLED, NOT_FOUND, Outbox, RequestError
-from kinetix_dist.text_files import read_json
+from kinetix_dist.studio.worker.wire import BAD_REQUEST, CANCELLED, Outbox, RequestError
 from kinetix_dist.trained_policy import Trained, checkpoint_at, env_config_of, newest_checkpoint_of
 
 _REQUIRED = object()
@@ -82,7 +84,8 @@ class Request:
         return RequestError(BAD_REQUEST, f"{self.fields['type']}: {name} is {text[:60]}; {advice}")
 
 
-KEYS, RANDOM, NOOP = "keys", "random", "noop"
+KEYS, RANDOM, NOOP, ACTIONS = "keys", "random", "noop", "actions"
+MAX_ACTIONS = 100_000  # steps
 # Fields of `env` besides "run": numbers by their types, the name of a reward, and a preset of the solver.
 NUMBERS = {
     "frame_skip": int,
@@ -97,8 +100,9 @@ ENV_FIELDS = (*NUMBERS, "reward", "preset")
 class RequestedPolicy:
     """Policy of a request, its checkpoint read."""
 
-    kind: str  # KEYS, RANDOM, NOOP or "checkpoint"
+    kind: str  # KEYS, RANDOM, NOOP, ACTIONS or "checkpoint"
     trained: Trained | None = None
+    actions: np.ndarray | None = None  # [T, 6] of ACTIONS
     skipped: tuple[str, ...] = ()  # newer checkpoints that could not be read, one line each
 
     def actor(self, env_config: EnvConfig, level: Level) -> Actor:
@@ -108,7 +112,7 @@ class RequestedPolicy:
             env = programs.environment(config)
             policies = {RANDOM: RandomPolicy(env.action_space), NOOP: NoopPolicy(env.action_space)}
             player = Player(policies[self.kind]) if self.kind in policies else None
-            return Actor(env=env, player=player, about={"kind": self.kind})
+            return Actor(env=env, player=player, about={"kind": self.kind}, actions=self.actions)
         own = self.trained.config.env
         config = dataclasses.replace(env_config, observation=own.observation, action_space=own.action_space)
         env = programs.environment(config)
@@ -135,10 +139,29 @@ def policy_of(given: Any) -> RequestedPolicy:
             trained, rejected = newest_checkpoint_of(Path(value))
             skipped = tuple(f"{bad.path.name}: {one_line(bad.reason)}" for bad in rejected)
             return RequestedPolicy(kind="checkpoint", trained=trained, skipped=skipped)
+        if name == ACTIONS:
+            return RequestedPolicy(kind=ACTIONS, actions=_actions_of(value))
     raise RequestError(
         BAD_REQUEST,
-        f'policy is {repr(given)[:60]}; give "{KEYS}", "{RANDOM}", "{NOOP}", {{"run": PATH}} or {{"checkpoint": PATH}}',
+        f'policy is {repr(given)[:60]}; give "{KEYS}", "{RANDOM}", "{NOOP}", {{"run": PATH}}, {{"checkpoint": PATH}} '
+        f'or {{"{ACTIONS}": [[...], ...]}}',
     )
+
+
+def _actions_of(given: Any) -> np.ndarray:
+    """[T, 6] int32. Raises RequestError for anything else."""
+    num = PERSON_SPACE.num_dimensions
+    is_table = isinstance(given, list) and all(isinstance(row, list) and len(row) == num for row in given)
+    if not is_table or any(type(number) is not int or abs(number) > 2 for row in given for number in row):
+        raise RequestError(BAD_REQUEST, f"policy.actions are not rows of {num} whole numbers, one a step")
+    if not 0 < len(given) <= MAX_ACTIONS:
+        raise RequestError(BAD_REQUEST, f"policy.actions are {len(given)} steps; give 1 to {MAX_ACTIONS}")
+    actions = np.array(given, np.int32)
+    try:
+        PERSON_SPACE.check(actions, len(actions))
+    except ValueError as error:
+        raise RequestError(BAD_REQUEST, f"policy.actions: {one_line(error)}") from error
+    return actions
 
 
 def env_of(given: Any, size: str, trained: Trained | None = None) -> EnvConfig:
@@ -167,16 +190,6 @@ def env_of(given: Any, size: str, trained: Trained | None = None) -> EnvConfig:
 
 
 def _env_of_run(given: Any, size: str) -> EnvConfig:
-    if not isinstance(given, str) or not Path(given).is_absolute():
-        raise RequestError(BAD_REQUEST, f"env.run is {given!r}; give an absolute path")
-    path = Path(given) / "config.json"
-    try:
-        data = read_json(path)
-    except OSError as error:
-        raise RequestError(NOT_FOUND, f"{path} cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise RequestError(BAD_REQUEST, f"{path} is not JSON ({one_line(error)})") from error
-    if not isinstance(data, dict) or not isinstance(data.get("config"), dict):
-        raise RequestError(BAD_REQUEST, f"{path} is of no run: it has no object `config`")
+    path, config = config_of_run(given, "env.run")
     with user_errors(ValueError, AttributeError, prefix=f"{path}: "):
-        return env_config_of(from_dict_for_playing(data["config"]), size)
+        return env_config_of(from_dict_for_playing(config), size)

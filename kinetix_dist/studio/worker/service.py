@@ -5,7 +5,7 @@
 | reader (the caller of `handle`) | inputs, controls, cancelling | never waits |
 | sessions | steps worlds in real time | session_loop.py |
 | look | checks, pictures, recordings | milliseconds, must not wait for the others |
-| make | mutates, generates, writes .rrd files | compiles, or imports rerun, for seconds |
+| make | mutates, generates, builds evaluation sets, writes .rrd files | compiles, or imports rerun, for seconds |
 | open | opens sessions, loads policies | compiles for seconds |
 | attempts | one evaluation at a time | seconds |
 """
@@ -23,6 +23,7 @@ from kinetix_dist.checkpoint.store import pretrained_names
 from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.level.generator_config import GENERATORS
 from kinetix_dist.level.level import NUM_WALLS, SIZES
+from kinetix_dist.level.mechanisms.ready_made import READY_MADE
 from kinetix_dist.level.mutators import MUTATORS
 from kinetix_dist.level.walls import WALL_CENTRES_M, WALL_HALF_EXTENTS_M, WALL_NAMES
 from kinetix_dist.studio.worker import level_requests, play_requests
@@ -50,12 +51,15 @@ class Service:
             "display": (LOOK, level_requests.display),
             "document": (LOOK, level_requests.document),
             "thumbnails": (LOOK, level_requests.thumbnails),
+            "evaluation_set": (MAKE, level_requests.evaluation_set),
+            "documents": (MAKE, level_requests.documents),
             "recordings": (LOOK, level_requests.recordings),
             "recording": (LOOK, level_requests.recording),
             "rrd": (MAKE, level_requests.rrd),
             "convert": (LOOK, level_requests.convert),
             "mutate": (MAKE, level_requests.mutate_level),
             "generate": (MAKE, level_requests.generate),
+            "mechanism": (MAKE, level_requests.mechanism),
             "attempts": (ATTEMPTS, play_requests.attempts),
         }
 
@@ -118,7 +122,9 @@ class Service:
     def _dispatch(self, request: Request) -> None:
         kind = request.fields["type"]
         if kind in self._handlers:
-            self._submit(*self._handlers[kind], request)
+            thread, handler = self._handlers[kind]
+            waits = thread == LOOK and level_requests.is_of_set(request.fields)
+            self._submit(MAKE if waits else thread, handler, request)
         elif kind == "play.open":
             self._submit(OPEN, self._open, request)
         elif kind in ("play.control", "play.close"):
@@ -219,5 +225,6 @@ def hello() -> dict[str, Any]:
         "sizes": sizes,
         "generators": list(GENERATORS),
         "mutators": list(MUTATORS),
+        "mechanisms": [{"name": name, "help": one.help} for name, one in READY_MADE.items()],
         "pretrained": pretrained_names(),
     }

@@ -31,11 +31,12 @@ PERSON_SPACE = MultiDiscrete()  # what keys give, whatever the action space of t
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Actor:
-    """Player of a session in its environment. `player` None: a person with keys."""
+    """Player of a session in its environment. `player` None: a person with keys, or actions given beforehand."""
 
     env: Environment  # with the action space that the player acts in
     player: Player | None
     about: dict[str, Any]  # for the client
+    actions: np.ndarray | None = None  # [T, 6] one for each step from the start, nothing is done after them
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -205,7 +206,7 @@ class Session:
     def _play(self) -> Moment:
         """State after the last one. One that has diverged has no positions: it repeats the last ones, with its flag."""
         moment, player = self.moments[-1], self.actor.player
-        actions = self.action if moment.choice is None else moment.choice.actions
+        actions = self._given_action(moment) if moment.choice is None else moment.choice.actions
         stepped = programs.step(self.actor.env, self.prepared, moment.env_state, actions)
         # One transfer for what is shown; the state stays where it is.
         seen = jax.device_get(stepped._replace(env_state=None, obs=None))
@@ -222,12 +223,20 @@ class Session:
             colours=seen.colours[0],
             reward=float(seen.reward[0]),
             flags=flags,
-            seq=self.seq if player is None else 0,
+            seq=self.seq if player is None and self.actor.actions is None else 0,
             distance=moment.distance if has_diverged else float(stepped.env_state.distance[0]),
         )
         if after.is_done:
             return dataclasses.replace(after, shown=moment.choice, actor=self.actor)
         return self._with_choice(after)
+
+    def _given_action(self, moment: Moment) -> np.ndarray:
+        """[1, 6] of a person, or of the actions that the actor was given for this step."""
+        given = self.actor.actions
+        if given is None:
+            return self.action
+        step = int(moment.env_state.num_steps[0])
+        return given[step : step + 1] if step < len(given) else np.array(PERSON_SPACE.noop_actions(1), np.int32)
 
     def warm_up(self, actor: Actor) -> None:
         """Compiles what an actor needs to play here; changes nothing, so that any thread may call it."""

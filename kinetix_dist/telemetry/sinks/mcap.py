@@ -9,30 +9,37 @@
 | `close`        |                     | the thread, timeout  | timeout: event; the file has no end but is readable|
 
 One protobuf message a state (rollout_schema.py), one metadata record a rollout with its level and outcome, zstd
-chunks of at most 1 MiB. Every rollout is flushed with one `write` to the file, so that a killed process loses only
-what was still in the queue, and a full disk leaves whole rollouts behind.
+chunks of at most 1 MiB. Pictures for Foxglove (scene_updates.py) follow in chunks of their own: like compresses better
+with like, and what damages a picture leaves the rollout whole. Every rollout is flushed with one `write` to the file,
+so that a killed process loses only what was still in the queue, and a full disk leaves whole rollouts behind.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
 import queue
 import threading
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import register_schema
 
 from kinetix_dist.atomic_files import append_atomically
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.telemetry.rollout_schema import MESSAGE, PACKAGE, Sizes, encode_messages, file_descriptor_set
+from kinetix_dist.telemetry.scene_updates import fixed_scene, moving_scenes
 
 METADATA_NAME = "kinetix_dist.rollout"
 TOPIC = "/rollout/step"
+STEP_CHANNEL = 1  # id of that channel in every file: the first one, so that a reader needs no channel record
+SCENE_TOPIC, FIXED_SCENE_TOPIC = "/rollout/scene", "/rollout/scene/fixed"
 FORMAT_VERSION = "1"
 CHUNK_BYTES = 1 << 20
 QUEUE_ROLLOUTS = 64  # about 7 MB of 256-step rollouts of size M: seconds of a slow disk, no more
@@ -61,6 +68,10 @@ class RolloutWriter:
         self._writer.start(profile="", library="kinetix-dist")
         schema = self._writer.register_schema(f"{PACKAGE}.{MESSAGE}", "protobuf", file_descriptor_set())
         self._channel = self._writer.register_channel(TOPIC, "protobuf", schema)
+        assert self._channel == STEP_CHANNEL, f"{TOPIC} has channel {self._channel}"
+        scene = register_schema(self._writer, SceneUpdate)
+        self._scene = self._writer.register_channel(SCENE_TOPIC, "protobuf", scene)
+        self._fixed_scene = self._writer.register_channel(FIXED_SCENE_TOPIC, "protobuf", scene)
         self.num_rollouts = 0
         self._clock_ns = 0
 
@@ -72,13 +83,23 @@ class RolloutWriter:
     def write(self, rollout: Rollout) -> None:
         sizes = sizes_of(rollout)
         self._writer.add_metadata(METADATA_NAME, _metadata(self.num_rollouts, rollout, sizes))
-        times = self._clock_ns + np.rint(rollout.seconds * 1e9).astype(np.int64)
-        messages = encode_messages(sizes, _columns(self.num_rollouts, rollout))
-        for step, (time, message) in enumerate(zip(times.tolist(), messages, strict=True)):
-            self._writer.add_message(self._channel, log_time=time, data=message, publish_time=time, sequence=step)
+        times = (self._clock_ns + np.rint(rollout.seconds * 1e9).astype(np.int64)).tolist()
+        self._add_messages(self._channel, times, encode_messages(sizes, _columns(self.num_rollouts, rollout)))
+        self._end_chunk()
+        self._add_messages(self._fixed_scene, times[:1], [fixed_scene(rollout, times[0])])
+        self._add_messages(self._scene, times, moving_scenes(rollout, times))
         self._writer.flush()
         self.num_rollouts += 1
-        self._clock_ns = int(times[-1]) + GAP_NS
+        self._clock_ns = times[-1] + GAP_NS
+
+    def _add_messages(self, channel: int, times: Sequence[int], messages: Iterable[bytes]) -> None:
+        for step, (time, message) in enumerate(zip(times, messages, strict=True)):
+            self._writer.add_message(channel, log_time=time, data=message, publish_time=time, sequence=step)
+
+    def _end_chunk(self) -> None:
+        """What comes next is in another chunk; nothing is written to the disk yet."""
+        with self._file.held():
+            self._writer.flush()
 
     def finish(self) -> None:
         """Writes the index and closes the file."""
@@ -227,6 +248,7 @@ class _WholeFlushes:
             message = "exists already; recordings are never overwritten: give another name"
             raise FileExistsError(f"{os.fspath(path)} {message}") from None
         self._pending = bytearray()
+        self._is_held = False
         self.written = 0
 
     def write(self, data: bytes) -> int:
@@ -236,7 +258,18 @@ class _WholeFlushes:
     def tell(self) -> int:
         return self.written + len(self._pending)
 
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Flushes within wait for the next one."""
+        self._is_held = True
+        try:
+            yield
+        finally:
+            self._is_held = False
+
     def flush(self) -> None:
+        if self._is_held:
+            return
         append_atomically(self._file, bytes(self._pending), self.written)
         self.written += len(self._pending)
         self._pending.clear()
@@ -279,6 +312,7 @@ def _metadata(index: int, rollout: Rollout, sizes: Sizes) -> dict[str, str]:
         "seed": str(rollout.seed),
         "num_steps": str(rollout.num_steps),
         "step_seconds": repr(rollout.step_seconds),
+        "actions": json.dumps([dataclasses.asdict(name) for name in rollout.action_names]),
         **{f"num_{name}": str(value) for name, value in dataclasses.asdict(sizes).items()},
     }
     return {**entries, "crc32": metadata_checksum(entries)}

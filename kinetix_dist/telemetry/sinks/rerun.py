@@ -9,6 +9,7 @@ polygon, so shapes are meshes in 3D, seen by a `Pinhole` camera inside a 2D view
                           `part_0`, and of what is fixed to it `joint_0/part_0`, `thruster_0/part_0`, ...
     /world/joint_0/part_0     what moves with no body: crosses of welds, rails without ends, springs
     /reward /return /motor /thruster /actions     plots
+    /action_words         the same actions by their names, "motor colour 0: forward", where one changes
     /summary              what this rollout is
 
 Bodies are outside of /camera because rerun leaves out what is below a pinhole of the view's own origin.
@@ -132,7 +133,12 @@ def rollout_blueprint(rollout: Rollout) -> rrb.Blueprint:
         plots.append(rrb.TimeSeriesView(name="motors, share of target speed", origin="motor"))
     if np.asarray(scene.thrusters.active).any():
         plots.append(rrb.TimeSeriesView(name="thrusters, share of power", origin="thruster"))
-    plots.append(rrb.TimeSeriesView(name="actions", origin="actions"))
+    plots.append(
+        rrb.Tabs(
+            rrb.TimeSeriesView(name="actions", origin="actions"),
+            rrb.TextLogView(name="actions in words", origin="action_words"),
+        )
+    )
     text = rrb.TextDocumentView(name="rollout", origin="summary")
     right = rrb.Vertical(text, *plots, row_shares=[1.2] + [1.0] * len(plots))
     return rrb.Blueprint(
@@ -323,9 +329,9 @@ def _log_plots(stream: rr.RecordingStream, rollout: Rollout) -> None:
     for k in np.flatnonzero(np.asarray(scene.thrusters.active)):
         colour = THRUSTER_PALETTE[k % len(THRUSTER_PALETTE)]
         lines.append((f"thruster/{k}", f"thruster {k}", rollout.thruster[:, k], before, colour))
-    for k in range(rollout.actions.shape[1]):
+    for k, name in enumerate(rollout.names_of_actions):
         colour = ACTION_PALETTE[k % len(ACTION_PALETTE)]
-        lines.append((f"actions/{k}", f"action {k}", rollout.actions[:, k], before, colour))
+        lines.append((f"actions/{k}", name.legend, rollout.actions[:, k], before, colour))
     for path, name, values, rows, colour in lines:
         style = rr.SeriesLines(
             names=[name],
@@ -334,3 +340,19 @@ def _log_plots(stream: rr.RecordingStream, rollout: Rollout) -> None:
         )
         stream.log(path, style, static=True)
         stream.send_columns(path, indexes=_times(rollout, rows), columns=rr.Scalars.columns(scalars=values))
+    _log_action_words(stream, rollout)
+
+
+def _log_action_words(stream: rr.RecordingStream, rollout: Rollout) -> None:
+    """The first action, and later each number of an action that is not that of the step before."""
+    import rerun as rr
+
+    changed = np.diff(rollout.actions, axis=0, prepend=np.nan) != 0
+    steps = np.flatnonzero(changed.any(axis=1))
+    names = rollout.names_of_actions
+    words = [
+        ", ".join(name.words(float(rollout.actions[step, k])) for k, name in enumerate(names) if changed[step, k])
+        for step in steps
+    ]
+    indexes = [rr.TimeColumn("step", sequence=steps), rr.TimeColumn("time", duration=rollout.seconds[steps])]
+    stream.send_columns("action_words", indexes=indexes, columns=rr.TextLog.columns(text=words))

@@ -1,19 +1,20 @@
 // Numbers, times and shares as people read them.
+import { count } from "./language.js";
 
-/** Three significant digits, thousands as k, M, G. @param {number | null | undefined} value */
-export function short(value) {
+/** Three significant digits, thousands as k, M, G. @param {number | null | undefined} value @param {number} [digits] */
+export function short(value, digits = 3) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "-";
   const size = Math.abs(value);
-  if (size >= 1e9) return `${trim(value / 1e9)} G`;
-  if (size >= 1e6) return `${trim(value / 1e6)} M`;
-  if (size >= 1e4) return `${trim(value / 1e3)} k`;
-  if (size !== 0 && size < 1e-3) return value.toExponential(1);
-  return trim(value);
+  if (size >= 1e9) return `${trim(value / 1e9, digits)} G`;
+  if (size >= 1e6) return `${trim(value / 1e6, digits)} M`;
+  if (size >= 1e4) return `${trim(value / 1e3, digits)} k`;
+  if (size !== 0 && size < 1e-3) return value.toExponential(digits - 2);
+  return trim(value, digits);
 }
 
-/** @param {number} value */
-function trim(value) {
-  return String(Number(value.toPrecision(3)));
+/** @param {number} value @param {number} [digits] */
+function trim(value, digits = 3) {
+  return String(Number(value.toPrecision(digits)));
 }
 
 /** @param {number | null | undefined} value */
@@ -28,7 +29,7 @@ export function rateWithCount(solved, episodes) {
 
 /** The mean over levels, which is not solved / episodes: those with short episodes finish more. @param {any} counts */
 export function rateOverLevels(counts) {
-  return counts.levels ? `${percent(counts.rate)}, mean of ${counts.levels} levels (${counts.episodes} episodes)` : "not played";
+  return counts.levels ? `${percent(counts.rate)}, mean of ${count(counts.levels, "level")} (${count(counts.episodes, "episode")})` : "not played";
 }
 
 /** @param {number | null | undefined} seconds */
@@ -66,25 +67,25 @@ export function csv(rows) {
 }
 
 /** Exponential moving average without bias at its start; gaps stay gaps.
- * @param {(number | null)[]} values @param {number} weight 0 (none) to below 1 */
+ * @template {number | null | undefined} T @param {T[]} values @param {number} weight 0 (none) to below 1 @returns {T[]} */
 export function smooth(values, weight) {
   if (weight <= 0) return values;
   const known = smoothed.get(values);
-  if (known?.weight === weight) return known.result; // the same array: what is drawn is not drawn again
+  if (known?.weight === weight) return /** @type {T[]} */ (known.result); // the same array: what is drawn is not drawn again
   const result = average(values, weight);
   smoothed.set(values, { weight, result });
-  return result;
+  return /** @type {T[]} */ (result);
 }
 
-/** @type {WeakMap<(number | null)[], { weight: number, result: (number | null)[] }>} */
+/** @type {WeakMap<(number | null | undefined)[], { weight: number, result: (number | null | undefined)[] }>} */
 const smoothed = new WeakMap();
 
-/** @param {(number | null)[]} values @param {number} weight @returns {(number | null)[]} */
+/** @param {(number | null | undefined)[]} values @param {number} weight @returns {(number | null | undefined)[]} */
 function average(values, weight) {
   let sum = 0;
   let total = 0;
   return values.map((value) => {
-    if (value === null) return null;
+    if (value === null || value === undefined) return value;
     sum = weight * sum + (1 - weight) * value;
     total = weight * total + (1 - weight);
     return sum / total;

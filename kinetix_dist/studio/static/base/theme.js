@@ -27,7 +27,8 @@ export function toggleTheme() {
 const LINES = ["line-0", "line-1", "line-2", "line-3", "line-4", "line-5", "line-6"];
 const DASHES = [[], [7, 3], [2, 3], [10, 3, 2, 3]];
 
-/** @param {number} index */
+/** `name`: of the variable of style.css that has the colour. @param {number} index */
 export function lineStyle(index) {
-  return { stroke: colour(LINES[index % LINES.length]), dash: DASHES[Math.floor(index / LINES.length + index) % 4] };
+  const name = LINES[index % LINES.length];
+  return { stroke: colour(name), dash: DASHES[Math.floor(index / LINES.length + index) % 4], name };
 }

@@ -89,8 +89,8 @@ export function Bars({ columns, groups, axis, max, describe, format = (value) =>
   };
   return html`<div><canvas class="bars" ref=${canvas} style=${{ width: "100%", height: `${HEIGHT}px` }} role="img" aria-label=${describe}
       onMouseMove=${showNote} onMouseLeave=${() => note.current && (note.current.textContent = "")}></canvas>
-    <p class="soft note"><span>${groups.map((group, g) => html`<span key=${group.label} class="key"><i style=${{ background: lineStyle(g).stroke, opacity: g ? 0.55 : 0.9 }}></i>${group.label}</span>`)}</span>
-      <span ref=${note}></span></p></div>`;
+    <p class="keys">${groups.map((group, g) => html`<span key=${group.label} class="key"><i style=${{ background: lineStyle(g).stroke, opacity: g ? 0.55 : 0.9 }}></i>${group.label}</span>`)}</p>
+    <p class="read-out"><span ref=${note}></span></p></div>`;
 }
 
 /** @param {number} width @param {number} numColumns @param {number} numGroups */

@@ -1,6 +1,10 @@
-// Coloured cells with a label per row and column: the text of a cell stands next to the pointer, in its title, in the CSV.
-import { html, useEffect, useRef } from "../base/html.js";
+// Coloured cells with a label per row and column: the text of a cell stands below at the pointer, and in the CSV.
+// Cells shrink where the page is narrow; what does not fit even then is scrolled.
+import { html, useEffect, useRef, useState } from "../base/html.js";
 import { colour } from "../base/theme.js";
+
+const NARROWEST = 4; // pixels of a cell
+const LABEL_SHARE = 0.4; // of the width, at most
 
 /**
  * `values` 0 to 1, null: no cell. `texts`: meaning of each cell with its counts.
@@ -11,12 +15,22 @@ import { colour } from "../base/theme.js";
 export function HeatMap(props) {
   const canvas = useRef(/** @type {HTMLCanvasElement | null} */ (null));
   const note = useRef(/** @type {HTMLElement | null} */ (null));
-  const { rows, columns, values, texts, labelWidth = 150, cellHeight = 16 } = props;
+  const frame = useRef(/** @type {HTMLElement | null} */ (null));
+  const [space, setSpace] = useState(Infinity); // pixels in which it has to fit
+  const { rows, columns, values, texts, cellHeight = 16 } = props;
   const footer = 18;
-  const cellWidth = props.cellWidth ?? Math.max(4, Math.min(44, Math.floor(760 / Math.max(columns.length, 1))));
+  const labelWidth = Math.round(Math.min(props.labelWidth ?? 150, LABEL_SHARE * space));
+  const wanted = props.cellWidth ?? Math.min(44, Math.floor(760 / Math.max(columns.length, 1)));
+  const cellWidth = Math.max(NARROWEST, Math.min(wanted, Math.floor((space - labelWidth - 10) / Math.max(columns.length, 1))));
   const width = labelWidth + columns.length * cellWidth + 10;
   const height = rows.length * cellHeight + footer;
 
+  useEffect(() => {
+    const element = /** @type {HTMLElement} */ (frame.current);
+    const observer = new ResizeObserver(() => element.clientWidth && setSpace(element.clientWidth));
+    observer.observe(element);
+    return () => observer.disconnect();
+  }, []);
   useEffect(() => {
     const draw = () => {
       const element = /** @type {HTMLCanvasElement} */ (canvas.current);
@@ -36,16 +50,18 @@ export function HeatMap(props) {
           context.fillStyle = value === null ? colour("grid") : heat(value);
           context.fillRect(labelWidth + c * cellWidth, r * cellHeight, cellWidth - 1, cellHeight - 1);
           if (value === null) return;
-          if (cellWidth >= 30) {
+          const text = String(Math.round(100 * value));
+          if (context.measureText(text).width + 5 <= cellWidth) {
             context.fillStyle = value > 0.55 ? "#10202c" : "#f2f5f7";
             context.textAlign = "center";
-            context.fillText(String(Math.round(100 * value)), labelWidth + (c + 0.5) * cellWidth, (r + 0.5) * cellHeight);
+            context.fillText(text, labelWidth + (c + 0.5) * cellWidth, (r + 0.5) * cellHeight);
           }
         });
       });
       context.fillStyle = colour("ink-soft");
       context.textAlign = "center";
-      const every = Math.ceil(46 / cellWidth);
+      const widest = Math.max(0, ...columns.map((column) => context.measureText(column).width));
+      const every = Math.max(1, Math.ceil((widest + 6) / cellWidth));
       columns.forEach((column, c) => {
         if (c % every === 0) context.fillText(column, labelWidth + (c + 0.5) * cellWidth, height - footer / 2);
       });
@@ -75,9 +91,9 @@ export function HeatMap(props) {
     const cell = cellAt(event);
     if (cell) props.choose?.(...cell);
   };
-  return html`<div class="scroll"><canvas class="heat" ref=${canvas} style=${{ width: `${width}px`, height: `${height}px` }} role="img"
+  return html`<div class="scroll" ref=${frame}><canvas class="heat" ref=${canvas} style=${{ width: `${width}px`, height: `${height}px` }} role="img"
       aria-label=${props.describe} onMouseMove=${showNote} onMouseLeave=${showNote} onClick=${click}></canvas></div>
-    <p class="soft note" ref=${note}></p>`;
+    <p class="read-out"><span ref=${note}></span></p>`;
 }
 
 /** @param {CanvasRenderingContext2D} context @param {string} text @param {number} width */

@@ -1,12 +1,14 @@
 // The frame of every chart and table: title, what it means, CSV and PNG of what is shown.
 import { csv, download } from "../base/format.js";
 import { html, useRef } from "../base/html.js";
+import { Terms } from "../base/term.js";
 import { colour } from "../base/theme.js";
+import { Explanation } from "./explanation.js";
 
 /**
  * `rows` makes the table behind the picture, its first row the header. `missing`: a line instead of a picture, where a
  * run lacks what the panel shows. The picture is the first canvas in the panel; `picture` false: there is none.
- * @param {{ title: string, help?: string, missing?: string | null, rows?: () => (string | number | null)[][],
+ * @param {{ title: string, help?: any, missing?: string | null, rows?: () => (string | number | null)[][],
  *   buttons?: any, wide?: boolean, picture?: boolean, name?: string, children?: any }} props
  */
 export function Panel({ title, help, missing, rows, buttons, wide, picture = true, name, children }) {
@@ -19,14 +21,14 @@ export function Panel({ title, help, missing, rows, buttons, wide, picture = tru
   };
   return html`<section class=${`panel${wide ? " wide" : ""}`} ref=${element} data-panel=${title}>
     <header>
-      <h3 title=${help ?? ""}>${title}</h3>
-      ${help ? html`<span class="help">${help}</span>` : null}
+      <h3><${Terms} text=${title} /></h3>
       <span class="buttons">
         ${missing ? null : buttons}
         ${rows && !missing ? html`<button onClick=${saveCsv} title="the numbers as CSV">CSV</button>` : null}
         ${missing || !picture ? null : html`<button class="png" onClick=${savePng} title="the picture as PNG">PNG</button>`}
       </span>
     </header>
+    ${help ? html`<${Explanation} text=${help} />` : null}
     ${missing ? html`<p class="missing">${missing}</p>` : children}
   </section>`;
 }

@@ -1,18 +1,13 @@
-// One level of a buffer next to the thumbnails: played in place, 64 attempts, its history, its file.
-import { addressOf, setQuery } from "../base/address.js";
+// One level of a buffer next to the thumbnails: its facts, and its history over snapshots and training.
 import { get, useRequest } from "../base/api.js";
 import { percent, rateWithCount, short } from "../base/format.js";
 import { html } from "../base/html.js";
 import { LineChart } from "../charts/line_chart.js";
-import { AttemptsPanel } from "../play/attempts.js";
-import { PlayStage } from "../play/stage.js";
+import { featureText, LevelPanel } from "./level_panel.js";
 import { Notes } from "./parts.js";
-
-const PICTURE = 340; // pixels
 
 /** @param {{ run: string, snapshot: any, level: any, picture: any, changes: number }} props */
 export function LevelDrawer({ run, snapshot, level, picture, changes }) {
-  const engine = useRequest(() => (picture ? get("engine") : Promise.resolve(null)), [Boolean(picture)]);
   const own = `runs/${encodeURIComponent(run)}/curriculum/${snapshot.kind}/${snapshot.number}/levels/${level.index}`;
   const name = `${run} ${snapshot.kind} ${snapshot.number} ${level.index}`;
   const given = { run, [snapshot.kind]: snapshot.number, index: level.index };
@@ -21,16 +16,11 @@ export function LevelDrawer({ run, snapshot, level, picture, changes }) {
   if (level.scored) facts.push(["when it was scored", counted(level.scored)]);
   if (level.training) facts.push(["in training", level.training.episodes ? `${counted(level.training)}` : "not played"]);
   if (level.born !== undefined) facts.push(["came in batch", level.born], ["last played in batch", level.last_played]);
-  return html`<aside class="panel drawer" data-panel="level"><header><h3>Level ${level.index} of ${snapshot.kind} ${snapshot.number}</h3>
-      <span class="buttons"><button onClick=${() => setQuery({ level: null })} aria-label="close">✕</button></span></header>
-    <${Notes} notes=${engine.error ? [engine.error] : []} />
-    ${picture && engine.data ? html`<${PlayStage} key=${name} given=${given} run=${run} engine=${engine.data} still=${picture} size=${PICTURE} label=${`level ${level.index}; keys play it`} />` : html`<p class="missing">${picture ? "the engine starts ..." : "no picture"}</p>`}
-    <dl class="facts">${facts.map(([fact, value]) => html`<div key=${fact}><dt>${fact}</dt><dd>${value}</dd></div>`)}</dl>
-    <p class="soft">${Object.entries(level.features).map(([feature, count]) => `${count} ${feature.replace("_", " ")}`).join(", ")}</p>
-    ${picture ? html`<a class="button" href=${addressOf(["edit"], new URLSearchParams({ from: `${own}/document` }))}>edit</a> <a class="button" href=${`api/${own}/document`} download>download as a level file</a>` : null}
-    ${picture && engine.data ? html`<${AttemptsPanel} key=${`attempts ${name}`} given=${given} subject=${name} size=${snapshot.size} engine=${engine.data} run=${run} />` : null}
+  return html`<${LevelPanel} title=${`Level ${level.index} of ${snapshot.kind} ${snapshot.number}`} run=${run} given=${given} subject=${name}
+    label=${`level ${level.index}; keys play it`} picture=${picture} missing="no picture" size=${snapshot.size} facts=${facts}
+    features=${featureText(level.features)} document=${`${own}/document`}>
     <${History} key=${`history ${name}`} own=${own} changes=${changes} />
-  </aside>`;
+  </${LevelPanel}>`;
 }
 
 /** Updates at which the level was scored, chosen, played in training and played again. @param {{ own: string, changes: number }} props */

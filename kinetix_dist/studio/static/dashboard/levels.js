@@ -3,6 +3,8 @@ import { setQuery, useAddress } from "../base/address.js";
 import { ApiError, get, useRequest } from "../base/api.js";
 import { short } from "../base/format.js";
 import { html, useEffect, useState } from "../base/html.js";
+import { count } from "../base/language.js";
+import { Term } from "../base/term.js";
 import { getPalette, Picture } from "../world/picture.js";
 import { LevelDrawer } from "./level_drawer.js";
 import { Notes } from "./parts.js";
@@ -57,14 +59,14 @@ export function LevelsPage({ run }) {
   if (!all.data) return html`<main><${Notes} notes=${notes} /></main>`;
   return html`<main>
     <${Notes} notes=${notes} />
-    ${snapshots.length ? null : html`<p class="missing">No snapshots of its curriculum so far (curriculum/*.npz); the first comes with the first refresh or checkpoint. Curricula that keep no levels that change, and runs of older versions, have none.</p>`}
+    ${snapshots.length ? null : html`<p class="missing">No snapshots of its curriculum so far (curriculum/*.npz). ${all.data.expected.buffer}</p>`}
     ${chosen ? html`<div class="row bar">
-      <label>snapshot <select onChange=${(/** @type {any} */ e) => setQuery({ of: e.target.value, offset: null, level: null })}>
+      <${Term} name="snapshot" /> <label><select aria-label="snapshot" onChange=${(/** @type {any} */ e) => setQuery({ of: e.target.value, offset: null, level: null })}>
         ${snapshots.map((/** @type {any} */ s) => html`<option key=${nameOf(s)} value=${nameOf(s)} selected=${s === chosen}>${s.kind} ${s.number}${s.has_levels ? "" : " (levels left out)"}</option>`)}</select></label>
       <label>order <select onChange=${(/** @type {any} */ e) => setQuery({ sort: e.target.value, offset: null })}>
         ${Object.entries(SORTS).filter(([key]) => key === sort || key.startsWith("slot") || page.data?.columns.includes(key.split(" ")[0])).map(([key, text]) => html`<option key=${key} value=${key} selected=${key === sort}>${text}</option>`)}</select></label>
       <${Filter} value=${filter} columns=${page.data?.columns ?? []} />
-      <span class="soft">${page.data ? `${page.data.matching} of ${page.data.total} levels` : ""}</span>
+      <span class="soft">${page.data ? `${page.data.matching} of ${count(page.data.total, "level")}` : ""}</span>
       <button class=${offset ? "" : "off"} onClick=${() => setQuery({ offset: String(Math.max(0, offset - A_PAGE)) })}>◀</button>
       <button class=${offset + A_PAGE < (page.data?.matching ?? 0) ? "" : "off"} onClick=${() => setQuery({ offset: String(offset + A_PAGE) })} aria-label="more levels">▶</button>
     </div>` : null}
@@ -97,7 +99,7 @@ function present(answer, isPresent) {
 function caption(level) {
   const counts = level.training?.episodes ? level.training : level.scored;
   if (!counts) return `score ${short(level.score)}`;
-  return `${counts.solved} of ${counts.episodes}${level.training?.episodes ? " trained" : ""}`;
+  return `${counts.solved} of ${counts.episodes} solved${level.training?.episodes ? " in training" : ""}`;
 }
 
 /** @param {{ value: string, columns: string[] }} props */

@@ -1,4 +1,4 @@
-// Panels of the overview with their metrics. Units and meanings come from the server.
+// Panels of the overview with their metrics. Units, meanings, sections and normal values come from the server.
 
 /** @typedef {{ title: string, names: string[], help?: string, stacked?: boolean, wide?: boolean }} MetricPanel */
 
@@ -30,14 +30,16 @@ export const PANELS = [
   },
   { title: "Policy lag", names: ["runtime/policy_lag", "runtime/policy_lag_max"], help: "updates between the policy that acted and the one that learned" },
   { title: "Idle", names: ROLES.map((role) => `runtime/idle_${role}`), help: "share of time in no call" },
-  { title: "Losses of processes", names: ["runtime/restarts", "runtime/dropped_steps", "learner/skipped_steps"], help: "all 0 in a healthy run" },
+  { title: "Losses of processes", names: ["runtime/restarts", "runtime/dropped_steps", "learner/skipped_steps"] },
   { title: "Host memory", names: ["driver", ...ROLES].map((role) => `memory/resident_gib_${role}`), help: "GiB, of the largest process of a role" },
   { title: "Memory in use", names: ["memory/host_share", "memory/gpu_share", "memory/pool_share"] },
-  { title: "Physics", names: ["physics/unstable", "physics/contact_overflow", "physics/speed_limited", "physics/missing_effects"], help: "per million physics steps" },
+  { title: "Speed limits of bodies", names: ["physics/speed_limited"], help: "bodies faster than 100 m/s or 50 rad/s, which are slowed to that, each counted once a step; per million physics steps" },
+  { title: "Faults of the physics", names: ["unstable", "contact_overflow", "missing_effects", "invalid_actions", "invalid_rewards", "invalid_controls", "invalid_scene"].map((name) => `physics/${name}`) },
   { title: "Compiling and saving", names: ["runtime/compile_seconds", "runtime/save_seconds", "curriculum/scoring_seconds"], help: "seconds" },
 ];
 
-/** The panels that a run has data for, and its other metrics. @param {string[]} names */
+/** The panels that a run has data for, and its other metrics, a panel each.
+ * @param {string[]} names @returns {{ panels: MetricPanel[], others: MetricPanel[] }} */
 export function panelsOf(names) {
   const there = new Set(names);
   const panels = PANELS.map((panel) => ({
@@ -45,8 +47,8 @@ export function panelsOf(names) {
     names: panel.names.filter((name) => there.has(name)),
   }));
   const used = new Set(panels.flatMap((panel) => panel.names));
-  const others = names.filter((name) => !used.has(name) && !/^(evaluation|progress)\//.test(name));
-  return { panels: panels.filter((panel) => panel.names.length), others };
+  const others = names.filter((name) => !used.has(name) && !name.startsWith("evaluation/"));
+  return { panels: panels.filter((panel) => panel.names.length), others: others.map((name) => ({ title: name, names: [name] })) };
 }
 
 /** "train/solve_rate" -> "solve rate" @param {string} name */

@@ -3,6 +3,7 @@ import { setQuery, useAddress } from "../base/address.js";
 import { ApiError, get, useRequest } from "../base/api.js";
 import { date, short } from "../base/format.js";
 import { html, useState } from "../base/html.js";
+import { count } from "../base/language.js";
 import { getPalette } from "../world/picture.js";
 import { decodeRollout, Player } from "../world/player.js";
 import { Notes } from "./parts.js";
@@ -33,7 +34,7 @@ export function ReplaysPage({ run }) {
         ${one.rollouts.map((/** @type {any} */ r) => {
           const name = `${encodeURIComponent(one.file)}/${r.index}`;
           return html`<tr key=${name} class=${name === chosen ? "chosen" : ""}><td><button class="link" onClick=${() => setQuery({ rollout: name })}>${r.index}. ${r.name}</button></td>
-            <td>${r.outcome === "solved" ? "✓ " : ""}${r.outcome}</td><td class="number">${r.num_steps} steps</td><td class="number">return ${r.return.toFixed(2)}</td>
+            <td>${r.outcome === "solved" ? "✓ " : ""}${r.outcome}</td><td class="number">${count(r.num_steps, "step")}</td><td class="number">return ${r.return.toFixed(2)}</td>
             <td>${r.policy_version < 0 ? "random" : `version ${r.policy_version}`}</td></tr>`;
         })}</tbody></table>`)}</div>
     </div>

@@ -3,6 +3,7 @@ import { html, useEffect, useRef } from "../base/html.js";
 import { drawPlay } from "../play/picture.js";
 import { drawWorld, paperOf } from "../world/canvas.js";
 import { levelPicture } from "../world/display_list.js";
+import { cursorPointer } from "./commands.js";
 import { drawOverlay } from "./overlay.js";
 import { TOOLS } from "./tools.js";
 
@@ -44,7 +45,7 @@ export function CanvasView({ editor, play }) {
     const observer = new ResizeObserver(resize);
     observer.observe(element);
     editor.listeners.add(want);
-    const end = followPointers(element, editor, play);
+    const end = followPointers(element, editor, play, want);
     return () => {
       observer.disconnect();
       editor.listeners.delete(want);
@@ -61,14 +62,17 @@ function draw(canvas, editor, play) {
   const view = seen(canvas, editor.view);
   if (drawPlay(canvas, play, palette, view)) return;
   delete canvas.dataset.step;
+  const { hover } = TOOLS[editor.tool];
+  if (editor.cursor && hover) editor.hover = hover(editor, cursorPointer(editor));
+  canvas.style.cursor = !editor.hover ? "" : editor.hover.joint ? "pointer" : editor.hover.why ? "not-allowed" : "copy";
   const { display, poses } = levelPicture(editor.document, editor.engine);
   drawWorld(canvas, display, poses, palette, { letters: true, view });
   drawOverlay(paperOf(canvas, view), editor);
 }
 
 /** Pointers of mouse, pen and fingers. One draws, two pinch and pan. @param {HTMLCanvasElement} canvas @param {Editor} editor
- * @param {import("../play/play.js").Play} play @returns {() => void} */
-function followPointers(canvas, editor, play) {
+ * @param {import("../play/play.js").Play} play @param {() => void} want draws the picture again @returns {() => void} */
+function followPointers(canvas, editor, play, want) {
   /** @type {Map<number, { x: number, y: number }>} */
   const down = new Map();
   /** @type {import("./tools.js").Gesture | null} */
@@ -102,10 +106,24 @@ function followPointers(canvas, editor, play) {
   };
   const move = (/** @type {PointerEvent} */ event) => {
     const before = down.get(event.pointerId);
-    if (!before) return;
+    if (!before) return hover(event);
     if (down.size === 2) pinch(event, before);
     down.set(event.pointerId, { x: event.clientX, y: event.clientY });
     if (down.size === 1) gesture?.move(pointer(event));
+  };
+  const hover = (/** @type {PointerEvent} */ event) => {
+    if (play.isOpen || event.pointerType === "touch" || editor.sketch?.kind === "corners") return;
+    const { hover: lands } = TOOLS[editor.tool];
+    if (!lands && !editor.hover) return;
+    editor.cursor = null;
+    editor.hover = lands?.(editor, pointer(event)) ?? null;
+    want();
+  };
+  const leave = () => {
+    if (!editor.hover || down.size || editor.cursor) return;
+    editor.hover = null;
+    editor.guides = [];
+    want();
   };
   const pinch = (/** @type {PointerEvent} */ event, /** @type {{ x: number, y: number }} */ before) => {
     const other = [...down.entries()].find(([id]) => id !== event.pointerId)?.[1];
@@ -121,6 +139,7 @@ function followPointers(canvas, editor, play) {
     gesture = null;
     if (event.type === "pointerup") ended?.up(pointer(event));
     else editor.cancel();
+    hover(event);
   };
   const wheel = (/** @type {WheelEvent} */ event) => {
     event.preventDefault();
@@ -130,12 +149,14 @@ function followPointers(canvas, editor, play) {
   canvas.addEventListener("pointermove", move);
   canvas.addEventListener("pointerup", end);
   canvas.addEventListener("pointercancel", end);
+  canvas.addEventListener("pointerleave", leave);
   canvas.addEventListener("wheel", wheel, { passive: false });
   return () => {
     canvas.removeEventListener("pointerdown", start);
     canvas.removeEventListener("pointermove", move);
     canvas.removeEventListener("pointerup", end);
     canvas.removeEventListener("pointercancel", end);
+    canvas.removeEventListener("pointerleave", leave);
     canvas.removeEventListener("wheel", wheel);
   };
 }

@@ -1,12 +1,14 @@
 // Everything that a key or a button does at once. The bar, the keyboard and the help are made from this list.
-import { aligned, copied, distributed, everything, joined, mirrored, moved, pasted, turned, without } from "./edits.js";
+import { aligned, copied, distributed, everything, joined, mirrored, moved, pasted, rolesTaken, turned, withRole, without } from "./edits.js";
+import { landingWords } from "./joining.js";
 import { GRID_M, TURN_RAD } from "./snap.js";
 import { WHOLE_VIEW } from "./state.js";
 import { TOOLS } from "./tools.js";
 
 /**
  * @typedef {import("./state.js").Editor} Editor
- * @typedef {{ keys: string[], label: string, mark?: string, run: (editor: Editor, key: string) => void }} Command keys: "ctrl+z"; mark: of its button
+ * @typedef {{ keys: string[], label: string, icon?: string, role?: string, run: (editor: Editor, key: string) => void }} Command keys: "ctrl+z";
+ *   icon: of its button; role: that it gives
  */
 
 /** @type {import("./edits.js").Copied | null} */
@@ -39,14 +41,29 @@ function arrow(editor, key) {
   }
   const [x, y] = editor.cursor ?? editor.view.middle;
   editor.cursor = [x + dx * step, y + dy * step];
-  editor.notify(`${editor.cursor[0].toFixed(3)}, ${editor.cursor[1].toFixed(3)} m`);
+  const landing = TOOLS[editor.tool].hover?.(editor, cursorPointer(editor));
+  const words = landing ? `: ${landingWords(editor, landing)}` : "";
+  editor.notify(`${editor.cursor[0].toFixed(3)}, ${editor.cursor[1].toFixed(3)} m${words}`);
 }
+
+/** The cross as a pointer. @param {Editor} editor @returns {import("./pointing.js").Pointer} */
+export const cursorPointer = (editor) => ({ at: editor.cursor ?? editor.view.middle, px: 0.01, thick: 1, add: false, free: true });
 
 /** Click with the cross. @param {Editor} editor */
 function click(editor) {
-  const at = editor.cursor ?? editor.view.middle;
-  const pointer = { at, px: 0.01, thick: 1, add: false, free: true };
+  const pointer = cursorPointer(editor);
   TOOLS[editor.tool].down(editor, pointer)?.up(pointer);
+}
+
+/** Gives the selected shapes or walls a role. Green and blue are of one shape: the one that had it has none then.
+ * @param {Editor} editor @param {string} role */
+function paint(editor, role) {
+  const holders = editor.selection.filter((path) => /^(shapes|walls)/.test(path));
+  if (!holders.length) return editor.notify("select a shape or a wall first, then its role");
+  if (holders.length > 1 && (role === "green" || role === "blue")) return editor.notify(`one shape of a level is ${role}: select one`);
+  const others = rolesTaken(editor.settled, role, holders);
+  editor.commit(withRole(editor.settled, holders, role));
+  return editor.notify(others.length ? `${role} is one shape: ${others.join(", ")} ${others.length > 1 ? "have" : "has"} no role now` : "");
 }
 
 /** Selects the next element, or the one before. @param {Editor} editor @param {number} by */
@@ -63,18 +80,22 @@ const changed = (editor, change) => editor.commit(change(editor.settled));
 
 /** @type {Command[]} */
 export const COMMANDS = [
-  { keys: ["ctrl+z"], label: "Undo", mark: "↶", run: (editor) => editor.undo() },
-  { keys: ["ctrl+y", "ctrl+shift+z"], label: "Redo", mark: "↷", run: (editor) => editor.redo() },
-  { keys: ["ctrl+c"], label: "Copy", mark: "copy", run: (editor) => setClipboard(copied(editor.settled, editor.selection)) },
-  { keys: ["ctrl+v"], label: "Paste", mark: "paste", run: (editor) => (clipboard ? paste(editor, clipboard) : editor.notify("nothing was copied")) },
+  { keys: ["ctrl+z"], label: "Undo", icon: "undo", run: (editor) => editor.undo() },
+  { keys: ["ctrl+y", "ctrl+shift+z"], label: "Redo", icon: "redo", run: (editor) => editor.redo() },
+  { keys: ["ctrl+c"], label: "Copy", icon: "copy", run: (editor) => setClipboard(copied(editor.settled, editor.selection)) },
+  { keys: ["ctrl+v"], label: "Paste", icon: "paste", run: (editor) => (clipboard ? paste(editor, clipboard) : editor.notify("nothing was copied")) },
   { keys: ["ctrl+x"], label: "Cut", run: (editor) => { setClipboard(copied(editor.settled, editor.selection)); editor.commit(without(editor.settled, editor.selection), []); } },
-  { keys: ["ctrl+d"], label: "Duplicate", mark: "double", run: (editor) => paste(editor, copied(editor.settled, editor.selection)) },
-  { keys: ["delete", "backspace"], label: "Delete", mark: "delete", run: (editor) => editor.commit(without(editor.settled, editor.selection), []) },
+  { keys: ["ctrl+d"], label: "Duplicate", icon: "double", run: (editor) => paste(editor, copied(editor.settled, editor.selection)) },
+  { keys: ["delete", "backspace"], label: "Delete", icon: "delete", run: (editor) => editor.commit(without(editor.settled, editor.selection), []) },
   { keys: ["ctrl+a"], label: "Select all", run: (editor) => editor.select(everything(editor.settled)) },
-  { keys: ["g"], label: "Select joined", mark: "joined", run: (editor) => editor.select(joined(editor.settled, editor.selection)) },
+  { keys: ["g"], label: "Select joined", icon: "joined", run: (editor) => editor.select(joined(editor.settled, editor.selection)) },
   { keys: ["tab"], label: "Next element", run: (editor) => next(editor, 1) },
   { keys: ["shift+tab"], label: "Element before", run: (editor) => next(editor, -1) },
-  { keys: ["m"], label: "Mirror", mark: "mirror", run: (editor) => changed(editor, (level) => mirrored(level, editor.selection, editor.walls)) },
+  { keys: ["m"], label: "Mirror", icon: "mirror", run: (editor) => changed(editor, (level) => mirrored(level, editor.selection, editor.walls)) },
+  { keys: ["shift+g"], label: "Role green", role: "green", run: (editor) => paint(editor, "green") },
+  { keys: ["shift+b"], label: "Role blue", role: "blue", run: (editor) => paint(editor, "blue") },
+  { keys: ["shift+r"], label: "Role red", role: "red", run: (editor) => paint(editor, "red") },
+  { keys: ["shift+n"], label: "Role none", role: "none", run: (editor) => paint(editor, "none") },
   { keys: ["["], label: "Turn left 15°", run: (editor) => changed(editor, (level) => turned(level, editor.selection, TURN_RAD, editor.walls)) },
   { keys: ["]"], label: "Turn right 15°", run: (editor) => changed(editor, (level) => turned(level, editor.selection, -TURN_RAD, editor.walls)) },
   { keys: ["{"], label: "Turn left 1°", run: (editor) => changed(editor, (level) => turned(level, editor.selection, FINE_RAD, editor.walls)) },
@@ -90,10 +111,10 @@ export const COMMANDS = [
   { keys: Object.keys(DIRECTIONS).map((key) => `shift+${key}`), label: "Move by 5 mm, or the cross", run: arrow },
   { keys: ["enter"], label: "Click with the cross", run: click },
   { keys: ["escape"], label: "End the gesture, then the selection", run: (editor) => { const isIdle = !editor.sketch && !editor.cursor && editor.tool === "select"; editor.cursor = null; editor.use("select"); if (isIdle) editor.select([]); } },
-  { keys: ["+", "="], label: "Nearer", mark: "+", run: (editor) => editor.zoom(1 / 1.25, editor.view.middle) },
-  { keys: ["-"], label: "Farther", mark: "−", run: (editor) => editor.zoom(1.25, editor.view.middle) },
-  { keys: ["0"], label: "Whole box", mark: "whole", run: (editor) => { editor.view = { ...WHOLE_VIEW }; editor.changed(); } },
-  { keys: ["n"], label: "Snap on or off", mark: "snap", run: (editor) => { editor.snaps = !editor.snaps; editor.notify(`snapping ${editor.snaps ? "on" : "off"}`); } },
+  { keys: ["+", "="], label: "Nearer", icon: "nearer", run: (editor) => editor.zoom(1 / 1.25, editor.view.middle) },
+  { keys: ["-"], label: "Farther", icon: "farther", run: (editor) => editor.zoom(1.25, editor.view.middle) },
+  { keys: ["0"], label: "Whole box", icon: "whole", run: (editor) => { editor.view = { ...WHOLE_VIEW }; editor.changed(); } },
+  { keys: ["n"], label: "Snap on or off", icon: "snap", run: (editor) => { editor.snaps = !editor.snaps; editor.notify(`snapping ${editor.snaps ? "on" : "off"}`); } },
   ...Object.entries(TOOLS).map(([name, tool]) => ({ keys: [tool.key], label: `Tool: ${tool.label}`, run: (/** @type {Editor} */ editor) => editor.use(name) })),
 ];
 

@@ -1,5 +1,5 @@
 // Changes of several elements at once: move, turn, mirror, align, copy, paste, delete, join. All return another document.
-import { added, bodyOf, boundsOf, jointEnds, jointsOf, newId, parsePath, PARTS, elementAt, thrustersOf, toLocal, toWorld } from "./document.js";
+import { added, bodyOf, boundsOf, jointEnds, jointsOf, newId, parsePath, PARTS, elementAt, thrustersOf, toLocal, toWorld, withElement } from "./document.js";
 import { add, rotate, rounded, roundedPoint, sub, wrapped } from "./geometry.js";
 
 /**
@@ -249,6 +249,30 @@ export function joined(document, selection) {
     }
   }
   return document.shapes.flatMap((shape, index) => (ids.has(shape.id) ? [`shapes[${index}]`] : []));
+}
+
+/** Elements of the document with a role that only one may have, besides some, by their names.
+ * @param {Level} document @param {string} role @param {readonly string[]} but paths */
+export function rolesTaken(document, role, but) {
+  return holdersOf(document, role, but).map((path) => elementAt(document, path).id ?? path.replace("walls.", ""));
+}
+
+/** Paths of those that hold green or blue, besides some. @param {Level} document @param {string} role @param {readonly string[]} but */
+function holdersOf(document, role, but) {
+  if (role !== "green" && role !== "blue") return [];
+  const all = [...document.shapes.map((_, index) => `shapes[${index}]`), ...Object.keys(document.walls ?? {}).map((name) => `walls.${name}`)];
+  return all.filter((path) => elementAt(document, path).role === role && !but.includes(path));
+}
+
+/** Shapes and walls with another role; one that was green or blue alone has none then.
+ * @param {Level} document @param {readonly string[]} paths @param {string} role @returns {Level} */
+export function withRole(document, paths, role) {
+  const painted = (/** @type {Level} */ level, /** @type {string} */ path, /** @type {string} */ other) => {
+    const { role: _, ...rest } = elementAt(level, path);
+    return withElement(level, path, other === "none" ? rest : { ...rest, role: other });
+  };
+  const freed = holdersOf(document, role, paths).reduce((level, path) => painted(level, path, "none"), document);
+  return paths.reduce((level, path) => painted(level, path, role), freed);
 }
 
 /** Another name for a shape, also where joints and thrusters use it. @param {Level} document @param {number} index @param {string} id @returns {Level} */

@@ -7,6 +7,7 @@ import { levelPicture } from "../world/display_list.js";
 import { setClipboard, paste } from "./commands.js";
 import { documentText } from "./document.js";
 import { COPIED_FORMAT } from "./edits.js";
+import { linked, levelTextOf } from "./links.js";
 
 /** @typedef {import("./state.js").Editor} Editor */
 
@@ -14,6 +15,7 @@ export const MAX_TEXT = 3_000_000; // characters; a message to the server has at
 const PICTURE_PIXELS = 1048;
 const DRAFT = "kinetix-dist draft";
 const STORED = /^runs\/([^/]+)\/curriculum\/(refresh|buffer)\/(\d+)\/levels\/(\d+)\/document$/;
+const EVALUATED = /^runs\/([^/]+)\/evaluations\/document\?(.+)$/;
 
 /** A level of the text of a file in either format. Throws an Error with one line.
  * @param {string} text @returns {Promise<import("./document.js").Level>} */
@@ -35,7 +37,7 @@ export async function readLevel(text) {
   return document;
 }
 
-/** Opens a level that is dropped or pasted, or pastes a part that was copied. @param {Editor} editor @param {string} text */
+/** Opens a level or a link to one that is dropped or pasted, or pastes a part that was copied. @param {Editor} editor @param {string} text */
 export async function openText(editor, text) {
   try {
     const part = text.includes(COPIED_FORMAT) ? JSON.parse(text) : null;
@@ -44,18 +46,24 @@ export async function openText(editor, text) {
       paste(editor, part);
       return;
     }
-    editor.open(await readLevel(text));
+    const packed = linked(text);
+    editor.open(await readLevel(packed === null ? text : await levelTextOf(packed)));
     editor.notify("opened; undo brings back the level before");
   } catch (error) {
     editor.notify(error instanceof Error ? error.message : String(error));
   }
 }
 
-/** A level of a run's buffer. @param {Editor} editor @param {string} address below api/, of its document */
+/** A level of a run's buffer, or of one of its evaluation sets. @param {Editor} editor @param {string} address below api/, of its document */
 export async function openStored(editor, address) {
   const document = await get(address);
   const [, run, kind, number, index] = STORED.exec(address) ?? [];
+  const [, evaluated, query] = EVALUATED.exec(address) ?? [];
   editor.open(document);
+  if (evaluated) {
+    const of = new URLSearchParams(query);
+    editor.stored = { text: documentText(document), level: { run: decodeURIComponent(evaluated), set: of.get("set"), index: Number(of.get("index")), name: of.get("name") } };
+  }
   if (run) editor.stored = { text: documentText(document), level: { run: decodeURIComponent(run), [kind]: Number(number), index: Number(index) } };
 }
 
@@ -130,26 +138,6 @@ export function downloadPicture(editor) {
 
 /** @param {{ name?: any }} document */
 const fileName = (document) => String(document.name ?? "").replace(/[^\w-]+/g, "_").replace(/^_+|_+$/g, "") || "level";
-
-/** The level as text for an address: deflated, base64url. @param {any} document @returns {Promise<string>} */
-export async function packed(document) {
-  const stream = new Blob([JSON.stringify(document)]).stream().pipeThrough(new CompressionStream("deflate-raw"));
-  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
-  return btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join("")).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
-}
-
-/** @param {string} text of `packed` @returns {Promise<string>} */
-export async function unpacked(text) {
-  const bytes = Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (character) => character.charCodeAt(0));
-  const reader = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw")).getReader();
-  const decoder = new TextDecoder();
-  let result = "";
-  for (let part = await reader.read(); !part.done; part = await reader.read()) {
-    result += decoder.decode(part.value, { stream: true });
-    if (result.length > MAX_TEXT) throw new Error("the level of this link is too large"); // a few bytes can be many
-  }
-  return result + decoder.decode();
-}
 
 /** Draft of the level, stored by the browser until it is saved. @param {Editor} editor */
 export function keepDraft(editor) {

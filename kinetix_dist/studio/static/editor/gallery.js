@@ -9,8 +9,9 @@ const THUMBNAIL = 118;
 
 /** @typedef {{ name: string, text?: string, problem?: string }} Entry */
 
-/** @param {{ about: any, engine: import("../world/display_list.js").Engine, openDesigned: (entry: Entry) => void, openFile: (name: string) => void }} props */
-export function Gallery({ about, engine, openDesigned, openFile }) {
+/** @param {{ about: any, engine: import("../world/display_list.js").Engine, openDesigned: (entry: Entry) => void, openFile: (name: string) => void,
+ *   openText: (text: string) => void }} props */
+export function Gallery({ about, engine, openDesigned, openFile, openText }) {
   const [of, setOf] = useState(about.files ? "files" : "all_designed_s");
   const listed = useRequest(() => (of === "files" ? get("files") : get(`levels/sets/${of}`)), [of]);
   const entries = /** @type {Entry[]} */ (listed.data?.files ?? listed.data?.levels ?? []);
@@ -19,6 +20,8 @@ export function Gallery({ about, engine, openDesigned, openFile }) {
       <select aria-label="set" onChange=${(/** @type {any} */ e) => setOf(e.target.value)}>
         ${about.files ? html`<option value="files" selected=${of === "files"}>files of ${about.files.directory}</option>` : null}
         ${about.sets.map((/** @type {any} */ set) => html`<option key=${set.name} value=${set.name} selected=${set.name === of}>${set.name} (${set.count})</option>`)}</select></header>
+    <label class="field from-link"><span>link or text</span><input type="text" aria-label="link or text of a level" placeholder="paste it here" value=""
+      onInput=${(/** @type {any} */ e) => { const text = e.target.value; if (text.trim()) { e.target.value = ""; openText(text); } }} /></label>
     <p class="soft">${chosen?.description ?? ""}</p>
     ${listed.error ? html`<p class="bad">${listed.error}</p>` : null}
     ${of === "files" && listed.data && !entries.length ? html`<p class="missing">There is no level file yet; what you make is saved here.</p>` : null}

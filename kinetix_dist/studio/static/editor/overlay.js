@@ -3,6 +3,7 @@ import { LETTER_FROM_M } from "../world/canvas.js";
 import { boundsOf, jointEnds, jointsOf, parsePath, shapesOf, thrusterPlace, thrustersOf, worldCorners } from "./document.js";
 import { distance } from "./geometry.js";
 import { handlesOf } from "./handles.js";
+import { landingWords } from "./joining.js";
 import { ARC_M, axisReach, jointFacts, sliderFacts } from "./joint_handles.js";
 
 /**
@@ -33,6 +34,7 @@ export function drawOverlay(paper, editor) {
     context.stroke();
   }
   for (const { axis, at } of editor.guides) line(paper, axis ? [[-99, at], [99, at]] : [[at, -99], [at, 99]], "#d55e00", [4, 4]);
+  if (editor.hover) landing(paper, editor, editor.hover);
   sketchOf(paper, editor.sketch, accent);
   if (editor.cursor) cross(paper, editor.cursor);
 }
@@ -156,6 +158,51 @@ function sketchOf(paper, sketch, accent) {
     line(paper, points, accent, []);
     for (const point of points) cross(paper, point);
   }
+}
+
+/** Where a joint would land: the two shapes that it would hold, and its anchor; else why there would be none.
+ * @param {Paper} paper @param {import("./state.js").Editor} editor @param {import("./joining.js").Landing} hover */
+function landing(paper, editor, hover) {
+  const { context, x, y, dot } = paper;
+  const colour = hover.why ? "#8a4b00" : "#0b62b8";
+  if (!hover.joint) for (const path of hover.bodies) outlineOf(paper, editor, path, hover.why ? "#b8843a" : "#d55e00");
+  if (hover.joint) outlineOf(paper, editor, hover.joint, colour);
+  const [left, top] = [x(hover.at[0]), y(hover.at[1])];
+  if (!hover.joint && !hover.why) {
+    context.globalAlpha = 0.75;
+    context.beginPath();
+    context.arc(left, top, 9 * dot, 0, 2 * Math.PI);
+    context.fillStyle = "#ffffff";
+    context.fill();
+    context.strokeStyle = colour;
+    context.lineWidth = 2.5 * dot;
+    context.stroke();
+    context.beginPath();
+    context.arc(left, top, 3 * dot, 0, 2 * Math.PI);
+    context.fillStyle = colour;
+    context.fill();
+    context.globalAlpha = 1;
+  }
+  label(paper, landingWords(editor, hover), left, top, colour);
+}
+
+/** Words beside a point of the canvas, within the picture. @param {Paper} paper @param {string} text @param {number} left @param {number} top @param {string} colour */
+function label({ context, dot }, text, left, top, colour) {
+  context.font = `600 ${12 * dot}px sans-serif`;
+  const width = context.measureText(text).width + 12 * dot;
+  const at = Math.max(4 * dot, Math.min(left + 16 * dot, context.canvas.width - width - 4 * dot));
+  const up = top > 52 * dot ? top - 38 * dot : top + 18 * dot;
+  context.beginPath();
+  context.roundRect(at, up, width, 22 * dot, 4 * dot);
+  context.fillStyle = "rgba(255, 255, 255, 0.95)";
+  context.fill();
+  context.strokeStyle = colour;
+  context.lineWidth = dot;
+  context.stroke();
+  context.fillStyle = colour;
+  context.textAlign = "left";
+  context.textBaseline = "middle";
+  context.fillText(text, at + 6 * dot, up + 11 * dot);
 }
 
 /** @param {Paper} paper @param {Point} at */

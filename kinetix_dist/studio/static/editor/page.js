@@ -1,5 +1,5 @@
 // The editor: bar of tools, picture, panels. #/edit; #/edit?level=... has a level in it, #/edit?from=api/... leads to one.
-import { readAddress, setQuery } from "../base/address.js";
+import { readAddress, setQuery, useAddress } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
 import { useConnection } from "../base/channel.js";
 import { html, useEffect, useMemo, useRef, useState } from "../base/html.js";
@@ -12,11 +12,14 @@ import { Checks } from "./checks.js";
 import { COMMANDS, commandOf, keyOf } from "./commands.js";
 import { newLevel } from "./document.js";
 import { copied } from "./edits.js";
-import { downloadLevel, downloadPicture, dropDraft, findDraft, keepDraft, MAX_TEXT, openFile, openStored, openText, packed, readLevel, saveFile, unpacked } from "./files.js";
+import { downloadLevel, downloadPicture, dropDraft, findDraft, keepDraft, MAX_TEXT, openFile, openStored, openText, readLevel, saveFile } from "./files.js";
 import { Gallery, levelOf } from "./gallery.js";
+import { levelTextOf, linked, packed } from "./links.js";
 import { MakePanel } from "./make_panel.js";
 import { LevelPanel, ProblemsPanel, SelectionPanel, ThingsPanel } from "./panels.js";
 import { Editor } from "./state.js";
+import { TeachPanel } from "./teach_panel.js";
+import { ToolBar } from "./tool_bar.js";
 import { TOOLS } from "./tools.js";
 
 export function EditorPage() {
@@ -81,6 +84,14 @@ function Workplace({ editor, opened, engine, about }) {
     await play.open(given, policyOf(policy), { env: "run" in given ? { run: given.run } : undefined });
   };
   useKeys(editor, play, start);
+  // A link that is put into the address of this page changes nothing but what is behind #.
+  const inAddress = useAddress().query.get("level");
+  const shown = useRef(inAddress);
+  useEffect(() => {
+    if (inAddress === shown.current) return;
+    shown.current = inAddress;
+    if (inAddress) void open(async () => editor.open(await readLevel(await levelTextOf(inAddress))));
+  }, [inAddress]);
 
   const save = async (/** @type {import("./files.js").Conflict | null} */ over = null) => {
     const name = over?.name ?? editor.file ?? about.files?.only ?? askName(editor);
@@ -101,25 +112,24 @@ function Workplace({ editor, opened, engine, about }) {
     event.preventDefault();
     setDropping(false);
     const file = event.dataTransfer?.files[0];
+    const text = event.dataTransfer?.getData("text/plain") ?? "";
+    if (!file && text) return void open(() => openText(editor, text));
     if (!file) return;
     if (file.size > MAX_TEXT) return editor.notify(`${file.name} is too large for a level: ${(file.size / 1e6).toFixed(1)} MB; a level has a few kB`);
     void open(async () => openText(editor, await file.text()));
   };
   const link = async () => {
-    setQuery({ level: await packed(editor.document), from: null });
-    await navigator.clipboard?.writeText(location.href).catch(() => {}); // the address bar has it where the browser refuses
-    editor.notify(`the level is in the address now (${location.href.length} characters)${navigator.clipboard ? ", and copied" : ""}`);
+    shown.current = await packed(editor.document);
+    setQuery({ level: shown.current, from: null });
+    const isCopied = await (navigator.clipboard?.writeText(location.href) ?? Promise.reject()).then(() => true, () => false);
+    const where = isCopied ? "the link is copied" : "the link is in the address bar";
+    editor.notify(`${where} (${location.href.length} characters); it opens in any installation: paste it into an editor, or kinetix-dist edit 'LINK'`);
   };
   const { facts } = checks.checked;
 
   return html`<main class="editor ${isDropping ? "dropping" : ""}" onDragOver=${(/** @type {DragEvent} */ e) => { e.preventDefault(); setDropping(true); }} onDragLeave=${() => setDropping(false)} onDrop=${drop}>
-    <div class="bar tools" role="toolbar" aria-label="tools">
-      ${Object.entries(TOOLS).map(([name, tool]) => html`<button key=${name} aria-pressed=${editor.tool === name} aria-label=${tool.label} title=${`${tool.label} (${tool.key.toUpperCase()}): ${tool.help}`} disabled=${play.isOpen} onClick=${() => editor.use(name)}>${tool.mark}<small>${tool.key}</small></button>`)}
-      <span class="gap"></span>
-      ${COMMANDS.filter((command) => command.mark).map((command) => html`<button key=${command.label} aria-label=${command.label} title=${`${command.label} (${command.keys[0]})`} disabled=${play.isOpen} onClick=${() => command.run(editor, command.keys[0])}>${command.mark}</button>`)}
-      <button aria-pressed=${editor.adds} title="add to the selection with each click (as shift)" onClick=${() => { editor.adds = !editor.adds; editor.changed(); }} aria-label="Add to the selection">⊞</button>
-    </div>
-    <div class="bar">
+    <${ToolBar} editor=${editor} isOff=${play.isOpen} />
+    <div class="bar files">
       <button class="primary" onClick=${start} title="Space">${play.isOpen ? "■ stop" : "▶ play"}</button>
       <${PolicyChoice} value=${policy} choose=${setPolicy} engine=${engine} label="who plays" />
       <span class="gap"></span>
@@ -141,14 +151,16 @@ function Workplace({ editor, opened, engine, about }) {
     <div class="workplace">
       <div class="picture">
         <${CanvasView} editor=${editor} play=${play} />
-        ${play.isOpen || play.problem ? html`<${PlayBar} play=${play}><button onClick=${() => play.close()} title="Space or Escape">✎ edit</button></${PlayBar}>` : html`<p class="note" role="status">${editor.note || TOOLS[editor.tool].help}</p>`}
+        ${play.isOpen || play.problem ? html`<${PlayBar} play=${play}><button onClick=${() => play.close()} title="Space or Escape">✎ edit</button></${PlayBar}>` : html`<p class="note" role="status">${editor.note || TOOLS[editor.tool].help}
+          ${editor.remedy ? html` <button class="remedy" onClick=${editor.remedy.run}>${editor.remedy.label}</button>` : null}</p>`}
       </div>
       <aside class="side">
         <${ProblemsPanel} editor=${editor} checked=${checks.of(editor.settled)} />
         <div class="row small" role="tablist">${["level", "gallery", "help"].map((name) => html`<button key=${name} role="tab" aria-pressed=${panel === name} onClick=${() => setPanel(name)}>${name}</button>`)}</div>
-        ${panel === "gallery" ? html`<${Gallery} about=${about} engine=${engine} openDesigned=${(/** @type {any} */ entry) => open(async () => editor.open(await levelOf(entry)))} openFile=${(/** @type {string} */ name) => open(() => openFile(editor, name))} />` : null}
+        ${panel === "gallery" ? html`<${Gallery} about=${about} engine=${engine} openDesigned=${(/** @type {any} */ entry) => open(async () => editor.open(await levelOf(entry)))} openFile=${(/** @type {string} */ name) => open(() => openFile(editor, name))}
+          openText=${(/** @type {string} */ text) => open(() => openText(editor, text))} />` : null}
         ${panel === "help" ? html`<${Help} />` : null}
-        ${panel === "level" ? html`<${SelectionPanel} editor=${editor} /><${AttemptsPanel} given=${editor.given} subject=${editor.document} size=${editor.document.size} engine=${engine} /><${ThingsPanel} editor=${editor} facts=${facts} /><${LevelPanel} editor=${editor} facts=${facts} /><${MakePanel} editor=${editor} />` : null}
+        ${panel === "level" ? html`<${SelectionPanel} editor=${editor} /><${TeachPanel} editor=${editor} play=${play} /><${AttemptsPanel} given=${editor.given} subject=${editor.document} size=${editor.document.size} engine=${engine} /><${ThingsPanel} editor=${editor} facts=${facts} /><${LevelPanel} editor=${editor} /><${MakePanel} editor=${editor} />` : null}
       </aside>
     </div>
   </main>`;
@@ -163,7 +175,7 @@ async function begin(editor, about) {
   /** @type {Opened} */
   const opened = { panel: "level", isNamed: false };
   try {
-    if (level) editor.open(await readLevel(await unpacked(level)));
+    if (level) editor.open(await readLevel(await levelTextOf(level)));
     else if (from?.startsWith("runs/")) await openStored(editor, from);
     else if (about.opens) {
       if (about.opens.startsWith("file/")) await openNamed(editor, about.opens.slice(5));
@@ -238,7 +250,7 @@ function useKeys(editor, play, start) {
     const isFree = (/** @type {ClipboardEvent} */ event) => !play.isOpen && !/** @type {Element} */ (event.target).matches("input, textarea");
     const pasted = (/** @type {ClipboardEvent} */ event) => {
       const text = event.clipboardData?.getData("text/plain") ?? "";
-      if (isFree(event) && text.trim().startsWith("{")) void openText(editor, text);
+      if (isFree(event) && (text.trim().startsWith("{") || linked(text) !== null)) void openText(editor, text);
     };
     const copy = (/** @type {ClipboardEvent} */ event) => {
       if (!isFree(event) || !getSelection()?.isCollapsed || !editor.selection.length) return;

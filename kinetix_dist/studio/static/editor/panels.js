@@ -5,6 +5,7 @@ import { PARTS, parsePath, elementAt, withElement } from "./document.js";
 import { renamed } from "./edits.js";
 import { fieldsOf, LEVEL_FIELDS, SHAPE_FIELDS, valueOf, withValue } from "./fields.js";
 import { forwardWords, newMotor } from "./motors.js";
+import { countsOf, freeWords, isFull, largerSize, sizeThatFits } from "./sizes.js";
 
 /** @typedef {import("./state.js").Editor} Editor */
 const ALIGNMENTS = COMMANDS.filter((command) => /^(Align|Distribute)/.test(command.label));
@@ -120,12 +121,13 @@ function ManyPanel({ editor }) {
   </section>`;
 }
 
-/** @param {{ editor: Editor, facts: any }} props */
-export function LevelPanel({ editor, facts }) {
+/** @param {{ editor: Editor }} props */
+export function LevelPanel({ editor }) {
   const { document } = editor;
+  const { sizes } = editor.engine;
   return html`<section class="panel" data-panel="level"><header><h3>Level</h3></header>
     <div class="fields">${LEVEL_FIELDS.map((field) => html`<${FieldInput} key=${field.name} field=${field} element=${document} commit=${(/** @type {any} */ value) => editor.commit(withValue(editor.settled, field, value))} />`)}</div>
-    ${facts ? html`<p class="soft">space for ${Object.entries(facts.free).map(([kind, count]) => `${count} ${kind}`).join(", ")} more</p>` : null}
+    <p class="soft">space for ${freeWords(sizes, document)} more ${isFull(sizes, document) ? html`<${SizeFix} editor=${editor} size=${largerSize(sizes, document.size, countsOf(document))} />` : null}</p>
   </section>`;
 }
 
@@ -151,15 +153,37 @@ function nameOf(document, path) {
   return found.part === "joints" ? `${element.type} ${element.a} - ${element.b}` : `thruster ${element.shape}`;
 }
 
-/** Complaints of the validator and warnings; each leads to what it is about. @param {{ editor: Editor, checked: import("./checks.js").Checked }} props */
+/** Complaints of the validator and warnings; each leads to what it is about. What a level has not yet is no complaint.
+ * @param {{ editor: Editor, checked: import("./checks.js").Checked }} props */
 export function ProblemsPanel({ editor, checked }) {
-  const { problems, warnings } = checked;
-  const title = checked.error ? "Not checked" : problems.length ? `${checked.numProblems} problem${checked.numProblems > 1 ? "s" : ""}` : warnings.length ? `Valid, ${warnings.length} warning${warnings.length > 1 ? "s" : ""}` : "Valid";
-  return html`<section class="panel" data-panel="problems" aria-live="polite" data-checked=${checked.isCurrent}><header><h3 class=${problems.length ? "bad" : ""}>${problems.length ? "✗" : checked.isCurrent && !checked.error ? "✓" : "…"} ${checked.isCurrent ? title : "checking ..."}</h3></header>
+  const { warnings } = checked;
+  const problems = checked.problems.filter((problem) => !problem.missing_role);
+  const missing = checked.problems.flatMap((problem) => problem.missing_role ?? []);
+  const count = checked.numProblems - missing.length;
+  const plural = (/** @type {number} */ number, /** @type {string} */ word) => `${number} ${word}${number > 1 ? "s" : ""}`;
+  const title = checked.error ? "Not checked" : count ? plural(count, "problem") : missing.length ? "Still to draw" : warnings.length ? `Valid, ${plural(warnings.length, "warning")}` : "Valid";
+  const sign = count ? "✗" : !checked.isCurrent || checked.error ? "…" : missing.length ? "✎" : "✓";
+  return html`<section class="panel" data-panel="problems" aria-live="polite" data-checked=${checked.isCurrent}><header><h3 class=${count ? "bad" : ""}>${sign} ${checked.isCurrent ? title : "checking ..."}</h3></header>
     ${checked.error ? html`<p class="missing">${checked.error}</p>` : null}
     <div class="elements column">
       ${problems.map((problem, k) => html`<button key=${k} class="problem" onClick=${() => editor.show(problem.path)}><b>${problem.path}</b> ${problem.problem}; ${problem.remedy}</button>`)}
+      <${SizeFix} editor=${editor} size=${sizeThatFits(editor.engine.sizes, editor.document)} />
       ${warnings.map((warning, k) => html`<button key=${k} class="warning" onClick=${() => editor.select(warning.paths)}>⚠ ${warning.text}</button>`)}
     </div>
+    ${missing.length ? html`<${Guidance} document=${editor.document} missing=${missing} />` : null}
   </section>`;
+}
+
+/** What a level needs before it can be played. @param {{ document: import("./document.js").Level, missing: string[] }} props */
+function Guidance({ document, missing }) {
+  const isDriven = document.joints?.some((joint) => joint.motor) || document.thrusters?.length;
+  const steps = missing.map((role) => `a ${role} shape: draw one, or select one and press ${role === "green" ? "G" : "B"} in the tool bar`);
+  if (!isDriven) steps.push("something to control: a joint with a motor, a thruster, or a ready-made mechanism");
+  return html`<div class="soft" data-guidance><p>Green has to touch blue, and never red. This level needs</p><ul>${steps.map((step) => html`<li key=${step}>${step}</li>`)}</ul></div>`;
+}
+
+/** A larger size, as a step that can be undone. @param {{ editor: Editor, size: string | null }} props */
+function SizeFix({ editor, size }) {
+  if (size === null) return null;
+  return html`<button class="remedy" onClick=${() => editor.commit({ ...editor.settled, size })}>use size ${size.toUpperCase()}</button>`;
 }

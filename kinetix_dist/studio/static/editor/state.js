@@ -29,6 +29,10 @@ export class Editor {
     /** @type {{ middle: Point, metres: number }} */
     this.view = { ...WHOLE_VIEW };
     this.note = "";
+    /** What a button next to the note does about it. @type {{ label: string, run: () => void } | null} */
+    this.remedy = null;
+    /** Where a click of the tool would land. @type {import("./joining.js").Landing | null} */
+    this.hover = null;
     /** @type {Sketch | null} */
     this.sketch = null;
     /** @type {{ axis: 0 | 1, at: number }[]} */
@@ -98,7 +102,7 @@ export class Editor {
   }
 
   endSketch() {
-    this.sketch = null;
+    this.sketch = this.hover = null;
     this.guides = [];
   }
 
@@ -131,9 +135,10 @@ export class Editor {
     this.notify("");
   }
 
-  /** Shows a line below the picture. @param {string} note */
-  notify(note) {
+  /** Shows a line below the picture. @param {string} note @param {Editor["remedy"]} [remedy] */
+  notify(note, remedy = null) {
     this.note = note;
+    this.remedy = remedy;
     this.changed();
   }
 

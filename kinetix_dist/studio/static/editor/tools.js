@@ -3,30 +3,21 @@ import { added, boundsOf, jointEnds, newId, parsePath, shapesOf, elementAt, thru
 import { moved, selectedShapes } from "./edits.js";
 import { distance, hull, rounded, roundedPoint, sub, wrapped } from "./geometry.js";
 import { dragged, handlesOf, isConvex, thingsAt } from "./handles.js";
-import { newMotor } from "./motors.js";
-import { snapped, snappedAngle, snapTargets } from "./snap.js";
+import { joining, landingOf } from "./joining.js";
+import { aimed, CLICK_PX, THING_PX } from "./pointing.js";
+import { snappedAngle } from "./snap.js";
 
 /**
  * @typedef {import("./geometry.js").Point} Point
  * @typedef {import("./state.js").Editor} Editor
- * @typedef {{ at: Point, px: number, thick: number, add: boolean, free: boolean }} Pointer at: m; px: m of a pixel; thick: 1 of a mouse; add: shift is held; free: no snapping
- * @typedef {{ move: (pointer: Pointer) => void, up: (pointer: Pointer) => void }} Gesture
- * @typedef {{ key: string, label: string, mark: string, help: string, down: (editor: Editor, pointer: Pointer) => Gesture | null }} Tool
+ * @typedef {import("./pointing.js").Pointer} Pointer
+ * @typedef {import("./pointing.js").Gesture} Gesture
+ * @typedef {{ key: string, label: string, help: string, down: (editor: Editor, pointer: Pointer) => Gesture | null,
+ *   hover?: (editor: Editor, pointer: Pointer) => import("./joining.js").Landing }} Tool hover: where a click would land
  */
 
-const CLICK_PX = 5; // less is no drag
 const HANDLE_PX = 12; // how near a pointer has to come, times how thick it is
-const THING_PX = 8; // the same of joints and thrusters, which lie on shapes that are to be hit too
 const DEFAULT_M = 0.5; // side of a box that is placed by a click
-
-/** Snapped point of the pointer. @param {Editor} editor @param {Pointer} pointer @param {ReadonlySet<string>} [but] @returns {Point} */
-function aimed(editor, pointer, but) {
-  editor.guides = [];
-  if (!editor.snaps || pointer.free) return roundedPoint(pointer.at);
-  const { point, guides } = snapped(pointer.at, snapTargets(editor.settled, editor.walls, but), pointer.px);
-  editor.guides = guides;
-  return roundedPoint(point);
-}
 
 /** @param {Editor} editor @param {Pointer} pointer @returns {Gesture} */
 function beginSelect(editor, pointer) {
@@ -192,41 +183,6 @@ function clicking(kind, count) {
   };
 }
 
-/** @param {Editor} editor @param {Point} point */
-function bodiesAt(editor, point) {
-  const paths = thingsAt(editor.settled, point, 0, editor.walls).filter((path) => /^(shapes|walls)/.test(path));
-  return paths.map((path) => (path.startsWith("walls.") ? path.slice(6) : elementAt(editor.settled, path).id));
-}
-
-/** Pressed where two shapes overlap it joins these; dragged from one shape to another, these, where it ends.
- * @param {string} type @param {{ hasMotor?: boolean, more?: Record<string, any> }} [options] @returns {Tool["down"]} */
-function joining(type, { hasMotor = false, more = {} } = {}) {
-  return (editor, start) => {
-    const first = bodiesAt(editor, start.at);
-    return {
-      move(pointer) {
-        editor.sketch = { kind: "line", from: start.at, to: aimed(editor, pointer) };
-        editor.changed();
-      },
-      up(pointer) {
-        const isClick = distance(pointer.at, start.at) <= CLICK_PX * pointer.px * pointer.thick;
-        const last = isClick ? first : bodiesAt(editor, pointer.at);
-        // The upper shape is b, as a wheel that is drawn after its chassis.
-        const [b, a] = isClick ? first : [first[0], last.find((id) => id !== first[0])];
-        const anchor = aimed(editor, pointer);
-        if (a === undefined || b === undefined) {
-          editor.cancel();
-          return editor.notify(isClick ? "a joint needs two shapes that overlap here, or a drag from one shape to another" : "drag from one shape to another");
-        }
-        const before = editor.settled;
-        const count = (before.joints ?? []).length;
-        const joint = { type, a, b, anchor, ...more };
-        editor.commit(added(before, "joints", hasMotor ? { ...joint, motor: newMotor(before, joint) } : joint), [`joints[${count}]`]);
-      },
-    };
-  };
-}
-
 /** On a shape; a drag gives the direction of the push, a click pushes up. @type {Tool["down"]} */
 function beginThruster(editor, start) {
   const before = editor.settled;
@@ -273,15 +229,15 @@ const circle = drawing(
 
 /** Tools in the order of the bar. @type {Record<string, Tool>} */
 export const TOOLS = {
-  select: { key: "v", label: "Select", mark: "➤", help: "click, shift-click, or drag a rectangle; drag moves; a second click takes what lies below", down: beginSelect },
-  box: { key: "b", label: "Box", mark: "▭", help: "drag from corner to corner, or click", down: box },
-  circle: { key: "c", label: "Circle", mark: "○", help: "drag from the centre, or click", down: circle },
-  triangle: { key: "t", label: "Triangle", mark: "△", help: "click three corners", down: clicking("triangle", 3) },
-  quadrilateral: { key: "q", label: "Quadrilateral", mark: "▱", help: "click four corners", down: clicking("quadrilateral", 4) },
-  revolute: { key: "r", label: "Revolute", mark: "◎", help: "click where two shapes overlap, or drag from one to another; it has a motor", down: joining("revolute", { hasMotor: true }) },
-  fixed: { key: "f", label: "Fixed", mark: "✕", help: "click where two shapes overlap, or drag from one to another", down: joining("fixed") },
-  prismatic: { key: "l", label: "Slider", mark: "⇔", help: "click where two shapes overlap, or drag from one to another; its handle turns the axis", down: joining("prismatic", { hasMotor: true, more: { axis: 0 } }) },
-  thruster: { key: "h", label: "Thruster", mark: "▲", help: "press on a shape and drag to where it pushes", down: beginThruster },
-  pan: { key: "p", label: "Pan", mark: "✥", help: "drag; two fingers, the wheel and the middle button do so with any tool", down: beginPan },
+  select: { key: "v", label: "Select", help: "click, shift-click, or drag a rectangle; drag moves; a second click takes what lies below", down: beginSelect },
+  box: { key: "b", label: "Box", help: "drag from corner to corner, or click", down: box },
+  circle: { key: "c", label: "Circle", help: "drag from the centre, or click", down: circle },
+  triangle: { key: "t", label: "Triangle", help: "click three corners", down: clicking("triangle", 3) },
+  quadrilateral: { key: "q", label: "Quadrilateral", help: "click four corners", down: clicking("quadrilateral", 4) },
+  revolute: { key: "r", label: "Revolute", help: "click where two shapes overlap, or drag from one to another; it has a motor", down: joining("revolute", { hasMotor: true }), hover: landingOf },
+  fixed: { key: "f", label: "Fixed", help: "click where two shapes overlap, or drag from one to another", down: joining("fixed"), hover: landingOf },
+  prismatic: { key: "l", label: "Slider", help: "click where two shapes overlap, or drag from one to another; its handle turns the axis", down: joining("prismatic", { hasMotor: true, more: { axis: 0 } }), hover: landingOf },
+  thruster: { key: "h", label: "Thruster", help: "press on a shape and drag to where it pushes", down: beginThruster },
+  pan: { key: "p", label: "Pan", help: "drag; two fingers, the wheel and the middle button do so with any tool", down: beginPan },
 };
 

@@ -2,6 +2,7 @@
 import { channel } from "../base/channel.js";
 import { percent } from "../base/format.js";
 import { html, useRef, useState } from "../base/html.js";
+import { Term } from "../base/term.js";
 import { PolicyChoice, policyOf } from "./play_bar.js";
 
 const ATTEMPTS = 64;
@@ -29,7 +30,7 @@ export function AttemptsPanel({ given, subject, size, engine, run }) {
     }
   };
   const { result } = state ?? {};
-  return html`<section class="panel" data-panel="attempts"><header><h3>Learnability</h3><span class="help">${ATTEMPTS} attempts</span></header>
+  return html`<section class="panel" data-panel="attempts"><header><h3><${Term} name="learnability">Learnability</${Term}></h3><span class="help">${ATTEMPTS} attempts</span></header>
     <div class="row small"><${PolicyChoice} value=${policy} choose=${setPolicy} engine=${engine} people=${false} label="policy of the attempts" />
       ${state?.progress ? html`<button onClick=${() => channel.send({ type: "cancel", id: request.current })}>cancel</button>` : html`<button onClick=${start}>play ${ATTEMPTS} times</button>`}</div>
     ${state?.progress ? html`<p class="soft" role="status">${state.progress}</p>` : null}

@@ -70,7 +70,7 @@ function Pads({ play }) {
 function Mind({ play }) {
   const { session, frame } = play;
   const heads = session?.policy.heads;
-  if (!session || !frame || !heads) return html`<p class="soft">${session?.policy.kind === "checkpoint" ? "" : `${session?.policy.kind} actions`}</p>`;
+  if (!session || !frame || !heads) return html`<p class="soft">${["checkpoint", "actions"].includes(session?.policy.kind ?? "") ? "" : `${session?.policy.kind} actions`}</p>`;
   if (frame.outputs.length !== heads.controls.length) return html`<div class="mind"><p class="soft">this step was not played by ${nameOfPolicy(session)}</p></div>`;
   const isChoice = heads.kind === "probabilities";
   const bound = boundColours(session);
