@@ -52,6 +52,11 @@ NOW = "working tree"
 VARIANTS: dict[str, dict[str, Any]] = {  # fields of `jax2d.warp.variant.CompileOptions`
     "blocks of 32": {"block_dim": 32},
     "blocks of 128": {"block_dim": 128},
+    "32 worlds a warp": {"warp_worlds": 32},
+    "16 worlds a warp": {"warp_worlds": 16},
+    "8 worlds a warp": {"warp_worlds": 8},
+    "4 worlds a warp": {"warp_worlds": 4},
+    "8 blocks a multiprocessor": {"min_blocks": 8},
     "no shared memory": {"shared_bytes": 0},
     "all that solving uses of a body in shared memory": {"shared_bytes": 49152},
     "at most 80 registers": {"max_registers": 80},

@@ -175,8 +175,9 @@ class WarpBackend:
         start()
         variant = KernelVariant.of(capacity, settings, effects, options, report_contacts=report_contacts)
 
-        def call_for(worlds: int) -> Any:
-            return _jax_call(variant.for_worlds(worlds) if jax.default_backend() == "gpu" else variant)
+        def call_for(worlds: int) -> tuple[Any, int]:
+            chosen = variant.for_worlds(worlds) if jax.default_backend() == "gpu" else variant
+            return _jax_call(chosen), chosen.threads(worlds)
 
         self._launch = functools.cache(lambda num_steps: _launch(call_for, self.rows["OUT"]["ROWS"], num_steps))
 
@@ -246,8 +247,12 @@ class WarpBackend:
         )
 
 
-def _launch(call_for: Callable[[int], Any], out_rows: int, num_steps: int) -> Callable[..., tuple[Array, ...]]:
-    """(floats, ints, controls, parameters, bodies, impulses, keys) -> (bodies, impulses, keys, out), tables of
+def _launch(
+    call_for: Callable[[int], tuple[Any, int]], out_rows: int, num_steps: int
+) -> Callable[..., tuple[Array, ...]]:
+    """The launch of a kernel and its threads, `call_for` a number of worlds, as a function of tables:
+
+    (floats, ints, controls, parameters, bodies, impulses, keys) -> (bodies, impulses, keys, out), tables of
     [rows, num_worlds] but for the parameters."""
 
     @jax.custom_batching.custom_vmap
@@ -258,11 +263,11 @@ def _launch(call_for: Callable[[int], Any], out_rows: int, num_steps: int) -> Ca
             return *state, jnp.zeros((out_rows, 0), jnp.int32)
         shapes = dict(zip(STATE_TABLES, (table.shape for table in state))) | {"out_table": (out_rows, worlds)}
         with _TRACING:
-            call = call_for(worlds)
+            call, threads = call_for(worlds)
             # Warp numbers launches in the order they are traced, and the number becomes part of the program: named by
             # what it says instead, equal programs are equal in every process and found in the compile cache.
             call.launch_id = (num_steps << _STEPS_SHIFT) | worlds
-            return tuple(call(*tables, num_steps, launch_dims=worlds, output_dims=shapes))
+            return tuple(call(*tables, num_steps, launch_dims=threads, output_dims=shapes))
 
     @launch.def_vmap
     def launch_folded(axis_size: int, is_mapped: Sequence[bool], *tables: Array) -> tuple[tuple, tuple]:
@@ -331,7 +336,8 @@ class Launch:
             table("IMPULSE", jnp.float32),
             jax.ShapeDtypeStruct((c.contact_slots, self.num_worlds), jnp.int32),
         ]
-        jax.eval_shape(_launch(lambda worlds: call, rows["OUT"]["ROWS"], self.num_steps), *tables)
+        launch = _launch(lambda worlds: (call, self.variant.threads(worlds)), rows["OUT"]["ROWS"], self.num_steps)
+        jax.eval_shape(launch, *tables)
 
 
 def targets() -> list[str]:

@@ -83,5 +83,5 @@ def make_kernel(variant: KernelVariant) -> wp.Kernel:
         module="unique",
         module_options=variant.options.module_options,
         enable_backward=False,
-        **variant.options.kernel_options,
+        **variant.kernel_options,
     )

@@ -85,6 +85,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "MAX_VERTICES": capacity.vertices,
         "NUM_CORNERS": max(1, polygons * capacity.vertices),
         "SHARED_RECORD": variant.shared_record,
+        "WARP_WORLDS": variant.warp_worlds,
         "SHAPE_WORDS": -(-(polygons + circles) // 32),
         "ISLAND_SHAPES": polygons + circles if variant.is_soft else 1,
         "BOUNCE_SHAPES": polygons + circles if effects.restitution and variant.is_soft else 1,
@@ -111,6 +112,13 @@ def kernel_source(variant: KernelVariant) -> str:
     """Body of the native function; its arguments are named in kernel.py."""
     enum = ",\n  ".join(f"{name} = {value}" for name, value in constants(variant).items())
     call = """
+#if defined(__CUDA_ARCH__)
+if (WARP_WORLDS < 32) {  // the other lanes have no world
+  if (world % 32 >= WARP_WORLDS) return;
+  world = world / 32 * WARP_WORLDS + world % 32;
+  if (world >= num_worlds) return;
+}
+#endif
 size_t stride = size_t(num_worlds);
 Column scene = {scene_table.data + world, stride};
 IntColumn ints = {ints_table.data + world, stride};

@@ -9,9 +9,14 @@ from jax2d.effects import Effects
 from jax2d.scene import Capacity
 from jax2d.settings import Settings, Solver
 
-# How many numbers of a body a GPU keeps in shared memory, all that solving uses, and from how many worlds on that is
-# faster: what is shared is taken from the cache, of which few worlds make better use, and so do kernels of many shapes.
-SHARED_RECORD, MIN_SHARING_WORLDS = 8, 65536
+# What a GPU steps many worlds with, and from how many on that is faster. Numbers of a body in shared memory, all that
+# solving uses: that is taken from the cache, of which few worlds make better use, and so do kernels of many shapes.
+# Blocks of a multiprocessor, for which the compiler keeps to fewer registers: few worlds have not so many blocks.
+MANY_WORLDS, SHARED_RECORD, MIN_BLOCKS = 65536, 8, 8
+
+# Up to how many worlds a warp has so few of them, a lane each: it takes as long as the longest of its worlds. More
+# warps with idle lanes are in each other's way in the cache.
+WARP, FEW_WORLDS, FEW_IN_WARP = 32, 2048, 8
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -22,9 +27,10 @@ class CompileOptions:
     block_dim: int = 64  # threads a block on a GPU, one a world
     shared_bytes: int = 20480  # of shared memory for a block: with more, fewer blocks run at a time
     shared_record: int | None = None  # numbers of a body in shared memory; None: by shapes and worlds
+    warp_worlds: int | None = None  # worlds of a warp, a power of two; None: by worlds
     sweep_above_shapes: int = 32  # up to here testing every pair costs less than a sweep (docs: how cost grows)
     max_registers: int | None = None  # a thread
-    min_blocks: int | None = None  # a multiprocessor, for which the compiler limits registers
+    min_blocks: int | None = None  # a multiprocessor, for which the compiler limits registers; None: by worlds
     spills_in_shared: bool = False
     fast_math: bool = False
     fuse_fp: bool = False  # fused multiplies and adds: the compiler chooses where, so other kernels give other bits
@@ -40,18 +46,6 @@ class CompileOptions:
             "fuse_fp": self.fuse_fp,
         }
 
-    @property
-    def kernel_options(self) -> dict[str, Any]:
-        """Options of a Warp kernel."""
-        options: dict[str, Any] = {}
-        if self.max_registers is not None:
-            options["cuda_max_registers"] = self.max_registers
-        if self.min_blocks is not None:
-            options["launch_bounds"] = (self.block_dim, self.min_blocks)
-        if self.spills_in_shared:
-            options["enable_cuda_smem_spilling"] = True
-        return options
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class KernelVariant:
@@ -64,6 +58,8 @@ class KernelVariant:
     shares_impacts: bool = False  # passes are repeated until an impact is shared out
     report_contacts: bool = False  # of the last step of a call
     shared_record: int = 0  # numbers of a body in a GPU's shared memory
+    warp_worlds: int = WARP  # worlds that a warp of a GPU steps, a lane each
+    min_blocks: int | None = None  # of a GPU's multiprocessor
     options: CompileOptions = CompileOptions()
 
     @classmethod
@@ -93,15 +89,34 @@ class KernelVariant:
 
     def for_worlds(self, worlds: int) -> KernelVariant:
         """The variant that a GPU steps so many worlds with."""
-        if self.options.shared_record is not None:
-            return self
-        shapes = self.effects.polygon_slots + self.effects.circle_slots
-        record = shared_record(shapes, worlds, self.options)
-        return dataclasses.replace(self, shared_record=record)
+        options, shapes = self.options, self.effects.polygon_slots + self.effects.circle_slots
+        record = shared_record(shapes, worlds, options) if options.shared_record is None else self.shared_record
+        lanes, blocks = options.warp_worlds, options.min_blocks
+        if lanes is None:
+            lanes = FEW_IN_WARP if worlds <= FEW_WORLDS else WARP
+        if blocks is None and worlds >= MANY_WORLDS:
+            blocks = MIN_BLOCKS
+        return dataclasses.replace(self, shared_record=record, warp_worlds=lanes, min_blocks=blocks)
+
+    @property
+    def kernel_options(self) -> dict[str, Any]:
+        """Options of a Warp kernel."""
+        options: dict[str, Any] = {}
+        if self.options.max_registers is not None:
+            options["cuda_max_registers"] = self.options.max_registers
+        elif self.min_blocks is not None:
+            options["launch_bounds"] = (self.options.block_dim, self.min_blocks)
+        if self.options.spills_in_shared:
+            options["enable_cuda_smem_spilling"] = True
+        return options
+
+    def threads(self, worlds: int) -> int:
+        """Threads of a launch for so many worlds, those of lanes without a world included."""
+        return worlds if self.warp_worlds == WARP else -(-worlds // self.warp_worlds) * WARP
 
 
 def shared_record(shapes: int, worlds: int, options: CompileOptions | None = None) -> int:
     """Number of floats of a body that a kernel for so many shapes holds in a GPU's shared memory."""
     options = options if options is not None else CompileOptions()
     fits = 4 * SHARED_RECORD * shapes * options.block_dim <= options.shared_bytes
-    return SHARED_RECORD if fits and worlds >= MIN_SHARING_WORLDS else 0
+    return SHARED_RECORD if fits and worlds >= MANY_WORLDS else 0

@@ -72,7 +72,7 @@ struct World {
     Bodies::copy(found, bodies.moving);
     Bodies::copy(waiting, bodies.moving);
     bool stopped = false;  // `found` were, before they moved: forces have acted, and only they are solved
-    int stops = 0, max_passes = (int)(params.get(PARAM_IMPACT_PASSES));
+    int stops = 0;
     for (int substep = 0; substep < substeps;) {
       // Each function is called once: what is inlined twice is twice the code.
       bool all = substep == 0 && !stopped;
@@ -108,40 +108,31 @@ struct World {
         contacts.warm_start(bodies);
         if (reports) report.warm_start(contacts);
       }
-      // Joints, contacts, and joints again: so each has what the other answers.
-      // Where a speed limit takes back what stops a body, the rest of it is solved again with all of its island.
-      // And where something hits, until all that it reaches has its share.
-      unsigned int solved[SHAPE_WORDS], passed[SHAPE_WORDS], anew[SHAPE_WORDS];
-      for (int word = 0; word < SHAPE_WORDS; ++word) solved[word] = passed[word] = stopped ? found[word] : bodies.moving[word];
-      contacts.active.begin(stopped, solved);
-      for (int pass = 0;; ++pass) {
-        for (int round = 0; round < 2; ++round) {
-          joints.solve_soft(bodies, soft, true, round == 0, contacts.active);
-          if (round == 0) contacts.solve_soft(bodies, soft, true, 0);
+      unsigned int solved[SHAPE_WORDS], ending[SHAPE_WORDS];
+      for (int word = 0; word < SHAPE_WORDS; ++word) solved[word] = stopped ? found[word] : bodies.moving[word];
+      unsigned int outrunning[SHAPE_WORDS];
+      bool stops_now = false;
+      for (int relaxes = 0; relaxes < 2; ++relaxes) {  // before and after bodies move
+        if (relaxes) {
+          // Islands of bodies that would now go farther than was predicted are stopped before they move: their contacts are
+          // found again, from here on in each sub-step.
+          unsigned int moving[SHAPE_WORDS];
+          real left = h * (real)(substeps - substep);
+          stops_now = stops < MAX_STOPS &&
+                      contacts.outruns_contacts(bodies, geometry, at_detection, ints, reach, h * (real)(substeps), left, h,
+                                                {found, every, brief, waiting}, outrunning);
+          if (stops_now) islands.complete_groups(bodies, contacts, joints, outrunning);
+          for (int word = 0; word < SHAPE_WORDS; ++word) {
+            unsigned int out = stops_now ? outrunning[word] : 0u, ends = substep == substeps - 1 ? ~0u : every[word];
+            moving[word] = waiting[word] & ~out;
+            ending[word] = (moving[word] & ends) | (out & (waiting[word] | ~ends));
+            waiting[word] &= out;
+            outrunning[word] = out;
+          }
+          bodies.move(moving, h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
         }
-        bool is_slowed = slow_down(passed, pass < LIMITED_PASSES, anew);
-        if (!SHARES_IMPACTS && !is_slowed) break;
-        if (!contacts.active.repeat(pass < max_passes, anew)) break;
-        Bodies::copy(passed, contacts.active.now);
-        islands.complete(bodies, passed);
+        solve(relaxes == 0, gravity, h, solved, stopped, ending);
       }
-      // Islands of bodies that would now go farther than was predicted are stopped before they move: their contacts are found
-      // again, from here on in each sub-step.
-      unsigned int outrunning[SHAPE_WORDS], moving[SHAPE_WORDS], ending[SHAPE_WORDS];
-      real left = h * (real)(substeps - substep);
-      bool stops_now = stops < MAX_STOPS &&
-                       contacts.outruns_contacts(bodies, geometry, at_detection, ints, reach, h * (real)(substeps), left, h,
-                                                 {found, every, brief, waiting}, outrunning);
-      if (stops_now) islands.complete_groups(bodies, contacts, joints, outrunning);
-      for (int word = 0; word < SHAPE_WORDS; ++word) {
-        unsigned int out = stops_now ? outrunning[word] : 0u, ends = substep == substeps - 1 ? ~0u : every[word];
-        moving[word] = waiting[word] & ~out;
-        ending[word] = (moving[word] & ends) | (out & (waiting[word] | ~ends));
-        waiting[word] &= out;
-        outrunning[word] = out;
-      }
-      bodies.move(moving, h, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
-      relax(gravity, h, solved, stopped, ending);
       bodies.limit_speeds(ending, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED));
       stopped = stops_now;
       for (int word = 0; word < SHAPE_WORDS; ++word) {
@@ -179,43 +170,55 @@ struct World {
     return any;
   }
 
-  // Solves bodies of `solved` without bias, others too unless `is_part`. Where contacts are `ending`, what hit bounces: rounds
-  // go on until joints and other contacts of its island have shared in it and every bounce has its speed. What the next step
-  // is warm-started with is from before, since a bounce does not last.
-  KFN void relax(Vec2 gravity, real h, const unsigned int* solved, bool is_part, const unsigned int* ending) {
-    int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS));
-    bool bouncing = false;
-    int repeats = 0, energy_passes = 0;
-    unsigned int gaining[SHAPE_WORDS], none[SHAPE_WORDS], hit[SHAPE_WORDS];
+  // Solves bodies of `solved`, others too unless `is_part`.
+  //
+  // With bias: joints, contacts, and joints again, so each has what the other answers. Where a speed limit takes back what
+  // stops a body, the rest of it is solved again with all of its island. And where something hits, until all that it
+  // reaches has its share.
+  //
+  // Without: contacts alone, since joints have the velocities that keep anchors together; but where an island has gained
+  // energy they share in what takes it back. Where contacts are `ending`, what hit bounces: rounds go on until joints and
+  // other contacts of its island have shared in it and every bounce has its speed. What the next step is warm-started with
+  // is from before, since a bounce does not last.
+  KFN void solve(bool use_bias, Vec2 gravity, real h, const unsigned int* solved, bool is_part, const unsigned int* ending) {
+    int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS)), max_passes = (int)(params.get(PARAM_IMPACT_PASSES));
+    bool bouncing = false, is_second = false;  // joints again
+    int round = 0, passes = 0, energy_passes = 0;
+    unsigned int gaining[SHAPE_WORDS], none[SHAPE_WORDS], hit[SHAPE_WORDS], passed[SHAPE_WORDS];
     Bodies::clear(none);
     Bodies::copy(gaining, solved);
+    Bodies::copy(passed, solved);
     contacts.active.begin(is_part, solved);
-    for (int round = 0; round <= rounds; ++round) {
-      // Joints are not relaxed, since with bias they have the velocities that keep anchors together; but where an island
-      // has gained energy they share in what takes it back.
-      if (round == 0 && energy_passes == 0) {
+    for (;;) {
+      if (use_bias || round > 0 || energy_passes > 0)
+        joints.solve_soft(bodies, soft, use_bias, !is_second, contacts.active);
+      else
         joints.springs.solve(bodies, soft, false, true, contacts.active);
-      } else {
-        joints.solve_soft(bodies, soft, false, true, contacts.active);
+      if (!is_second) contacts.solve_soft(bodies, soft, use_bias, round);
+      if (use_bias) {
+        is_second = !is_second;
+        if (is_second) continue;
+        unsigned int anew[SHAPE_WORDS];
+        bool is_slowed = slow_down(passed, passes < LIMITED_PASSES, anew);
+        if (!SHARES_IMPACTS && !is_slowed) break;
+        if (!contacts.active.repeat(passes++ < max_passes, anew)) break;
+        Bodies::copy(passed, contacts.active.now);
+        islands.complete(bodies, passed);
+        continue;
       }
-      contacts.solve_soft(bodies, soft, false, round);
       if (round > 0) {
-        if (!bounces.end_round(bodies, contacts, islands, round + 1 == rounds)) break;
+        if (!bounces.end_round(bodies, contacts, islands, round + 1 == rounds) || ++round > rounds) break;
         continue;
       }
       // Joints and other contacts share in an impact.
-      if (SHARES_IMPACTS && contacts.active.repeat(repeats++ < (int)(params.get(PARAM_IMPACT_PASSES)), none)) {
-        --round;
-        continue;
-      }
+      if (SHARES_IMPACTS && contacts.active.repeat(passes++ < max_passes, none)) continue;
       bool would_reset = energy_passes + 1 == ENERGY_PASSES_BEFORE_RESET;
       bool of_gaining = is_part || energy_passes > 0;
       if (energy_passes < ENERGY_PASSES && gains_energy(h, would_reset ? RESET_GAIN : real(0), of_gaining, gaining)) {
         ++energy_passes;
-        repeats = 0;
+        passes = 0;
         contacts.active.begin(true, gaining);
         if (would_reset) islands.reset_impulses(bodies, contacts, joints, gaining);
-        --round;
         continue;
       }
       if (contacts.may_bounce) {
@@ -233,6 +236,7 @@ struct World {
       finish_contacts();
       if (!bouncing) break;
       joints.store(impulses);
+      if (++round > rounds) break;
     }
     if (!bouncing) return;
     islands.add_carried_work(bodies, contacts, joints, h, real(-1), islands.gain);
