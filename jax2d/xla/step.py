@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -245,6 +245,7 @@ class Pass(NamedTuple):
     joints: Joints
     contacts: Contacts
     active: ActiveSet
+    held: jax.Array  # [n] bool, their spins stay at the limit
 
 
 def _solve_passes(
@@ -262,12 +263,15 @@ def _solve_passes(
     stand, and [] bool whether they are solved all the same, since an island has gained energy.
 
     Joints, contacts, and joints again: so each has what the other answers. With bias, where a speed limit takes back
-    what stops a body, the rest of it is solved again with all of its island. And where something hits, passes go on
+    what stops a body, the rest of it is solved again with all of its island: a spin stays at its limit then, and what is
+    heavier and turns a body faster gives way, or its joints would come apart. And where something hits, passes go on
     until all that it reaches has its share.
     """
     use_bias = placed is not None
     bodies, joints, contacts = start
-    touching = islands.whole(marked(bodies, contacts.pair, contacts.key >= 0))
+    touching = marked(bodies, contacts.pair, contacts.key >= 0)
+    touching |= marked(bodies, joints.pair, jnp.any(joints.pair.is_a, axis=-1))
+    touching = islands.whole(touching)
 
     def solve(now: Pass, index: jax.Array) -> Pass:
         if placed is None:
@@ -280,23 +284,27 @@ def _solve_passes(
                 shared = joints_of.solve_soft(now.bodies, now.joints, at, params, now.active, use_bias=False)
                 bodies, joints, moved = choose(has_gained, shared, (bodies, joints, moved))
         else:
+            now = _with_inertia(now, jnp.where(now.held, 0, start.bodies.inverse_inertia))
+            standing = joints_of.place(now.bodies, now.joints)
             bodies, joints, moved = joints_of.solve_soft(
-                now.bodies, now.joints, placed, params, now.active, use_bias=True
+                now.bodies, now.joints, standing, params, now.active, use_bias=True
             )
         bodies, contacts, hit = contact_solver.solve_soft(bodies, now.contacts, params, now.active, use_bias=use_bias)
         if placed is not None:
             bodies, joints, moved_again = joints_of.solve_soft(
-                bodies, joints, placed, params, now.active, use_bias=True, is_first=False
+                bodies, joints, standing, params, now.active, use_bias=True, is_first=False
             )
             moved |= moved_again
         shared = (hit | (moved & islands.whole(now.active.moved))) & (index < rules.impact_passes)
         if not use_bias:
-            return Pass(bodies, joints, contacts, ActiveSet(shared, shared))
+            return Pass(bodies, joints, contacts, ActiveSet(shared, shared), now.held)
         solved = islands.whole(now.active.now)
         bodies, slowed = bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed, solved)
-        anew = islands.whole(slowed) & touching & (index < C.limited_passes)
+        is_solved_again = index < C.limited_passes
+        anew = islands.whole(slowed) & touching & is_solved_again
+        held = now.held | (slowed & is_solved_again & (jnp.abs(bodies.velocities.omega) >= params.max_angular_speed))
         shared &= ~anew
-        return Pass(bodies, joints, contacts, ActiveSet(shared | anew, shared))
+        return Pass(bodies, joints, contacts, ActiveSet(shared | anew, shared), held)
 
     def one_pass(now: Pass, index: jax.Array) -> tuple[Pass, None]:
         follows = jnp.any(now.active.now)
@@ -306,10 +314,27 @@ def _solve_passes(
 
         return jax.lax.cond(in_any_world(follows), solved, lambda: now), None
 
-    first = Pass(bodies, joints, contacts, ActiveSet.of(only))
+    first = Pass(bodies, joints, contacts, ActiveSet.of(only), jnp.zeros_like(only))
     num_passes = 1 + max(rules.impact_passes, C.limited_passes if use_bias else 0)
     last, _ = jax.lax.scan(one_pass, first, jnp.arange(num_passes))
+    last = _with_inertia(last, start.bodies.inverse_inertia)
     return Solved(last.bodies, last.joints, last.contacts)
+
+
+def _with_inertia(now: Pass, inverse_inertia: jax.Array) -> Pass:
+    """Bodies with these inverse inertias [n], and the same seen from all pairs."""
+
+    def seen(part: Any) -> Any:
+        if not isinstance(part, bodies_of.Pair):
+            return part
+        inertia_a, inertia_b = (bodies_of.pick(is_it, inverse_inertia) for is_it in (part.is_a, part.is_b))
+        return part._replace(inertia_a=inertia_a, inertia_b=inertia_b)
+
+    bodies = now.bodies._replace(inverse_inertia=inverse_inertia)
+    joints, contacts = jax.tree.map(
+        seen, (now.joints, now.contacts), is_leaf=lambda part: isinstance(part, bodies_of.Pair)
+    )
+    return now._replace(bodies=bodies, joints=joints, contacts=contacts)
 
 
 class Relaxed(NamedTuple):

@@ -11,6 +11,8 @@ struct Bodies {
   int limited;                        // shapes on which a speed limit acted, each once a step
   ARRAY(unsigned int, slowed, SHAPE_WORDS);  // a bit a shape on which one has acted in this step
 
+  ARRAY(unsigned int, held_spins, SHAPE_WORDS);
+
   // What solving uses of a body. On a GPU much of it is in shared memory: the worlds of a warp use different bodies at
   // a time, and in local memory that would be a transaction for each world and a wait for the slowest.
   enum { VELOCITY, OMEGA = 2, INVERSE_MASS, INVERSE_INERTIA, DELTA, TURN = 7, RECORD };
@@ -71,7 +73,7 @@ struct Bodies {
   KFN bool moves(int i) const { return has(moving, i); }
   // Something can push it: kinematic bodies move at their own velocity.
   KFN bool is_dynamic(int i) const {
-    return HAS_KINEMATIC_BODIES ? inverse_mass(i) > real(0) || inverse_inertia(i) > real(0) : moves(i);
+    return HAS_KINEMATIC_BODIES ? inverse_mass(i) > real(0) || inverse_inertia(i) > real(0) || has(held_spins, i) : moves(i);
   }
   KFN bool is_kinematic(int i) const { return HAS_KINEMATIC_BODIES && moves(i) && !is_dynamic(i); }
 
@@ -80,6 +82,7 @@ struct Bodies {
     clear(present);
     clear(moving);
     clear(counts_turns);
+    clear(held_spins);
     unsigned int active[TOUCH_WORDS];  // a bit a slot
     for (int word = 0; word < TOUCH_WORDS; ++word) active[word] = (unsigned int)(ints.get(INTS_SHAPES_ACTIVE + word));
     for (int i = 0; i < NUM_SHAPES; ++i) {
@@ -177,6 +180,18 @@ struct Bodies {
     if (!has(slowed, i)) ++limited;
     add(slowed, i);
     return true;
+  }
+
+  // A spin at its limit is not changed by anything, until it is released.
+  KFN void hold_spin(int i, real max_omega) {
+    if (Math::abs(omega(i)) < max_omega) return;
+    add(held_spins, i);
+    at(i, INVERSE_INERTIA) = real(0);
+  }
+  KFN void release_spins(const Column& scene) {
+    for (Each each = Each::of(held_spins); each.next();)
+      at(each.shape, INVERSE_INERTIA) = scene.get(SCENE_SHAPES_INVERSE_INERTIA + Slot::of(each.shape));
+    clear(held_spins);
   }
 
   KFN bool is_slowed(int a, int b) const { return has(slowed, a) || has(slowed, b); }

@@ -146,20 +146,23 @@ struct World {
     bodies.end_step(bodies.moving);
   }
 
-  // Limits speeds of bodies that have just been solved. `anew`: islands of those that this slows down, with contacts that
-  // have a say in it; True if there are any.
+  // Limits speeds of bodies that have just been solved. `anew`: islands of those that this slows down, with contacts or
+  // joints that have a say in it; True if there are any. Spins stay at their limit until it is solved: what is heavier and
+  // turns a body faster gives way, or its joints would come apart.
   KFN bool slow_down(const unsigned int* solved, bool looks, unsigned int* anew) {
     Bodies::clear(anew);
     bool any = false;
     for (Bodies::Each each = Bodies::Each::of(solved); each.next();) {
       if (!bodies.limit_speed(each.shape, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED)) || !looks) continue;
       Bodies::add(anew, each.shape);
+      bodies.hold_spin(each.shape, params.get(PARAM_MAX_ANGULAR_SPEED));
       any = true;
     }
     if (!any) return false;
     unsigned int touching[SHAPE_WORDS];
     Bodies::clear(touching);
     for (int k = 0; k < contacts.count; ++k) bodies.add_dynamic(touching, contacts.list[k].a, contacts.list[k].b);
+    for (int k = 0; k < joints.count; ++k) bodies.add_dynamic(touching, joints.list[k].a, joints.list[k].b);
     islands.complete(bodies, touching);
     islands.complete(bodies, anew);
     any = false;
@@ -238,6 +241,7 @@ struct World {
       joints.store(impulses);
       if (++round > rounds) break;
     }
+    if (use_bias) bodies.release_spins(scene);
     if (!bouncing) return;
     islands.add_carried_work(bodies, contacts, joints, h, real(-1), islands.gain);
     bounces.limit(bodies, at_detection, contacts, islands, hit, gravity, h, islands.gain);
