@@ -11,7 +11,7 @@ import pytest
 from tests.browser.test_editor import Bench
 from tests.studio.serving import Server, serving
 
-CHASSIS = "chassis (green)"  # of m/ramp_car
+CHASSIS = "chassis (green box)"  # of m/ramp_car
 PASTE = """(text) => {
   const data = new DataTransfer();
   data.setData("text/plain", text);
