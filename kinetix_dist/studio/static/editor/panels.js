@@ -201,7 +201,7 @@ export function ProblemsPanel({ editor, checked }) {
   return html`<section class="panel" data-panel="problems" aria-live="polite" data-checked=${checked.isCurrent}><header><h3 class=${numProblems ? "bad" : ""}>${sign} ${checked.isCurrent ? title : "checking ..."}</h3></header>
     ${checked.error ? html`<p class="missing">${checked.error}</p>` : null}
     <div class="elements column">
-      ${problems.map((problem, k) => html`<button key=${k} class="problem" title="select it" onClick=${() => editor.show([problem.path])}><b>${namedText(document, problem.path)}</b>${problem.path ? ": " : ""}${namedText(document, problem.problem)}; ${namedText(document, problem.remedy)}</button>`)}
+      ${problems.map((problem, k) => html`<button key=${k} class="problem" title="select it" onClick=${() => editor.show(problem.paths)}><b>${problem.paths.map((path) => namedText(document, path)).join(" and ")}</b>${problem.path ? ": " : ""}${namedText(document, problem.problem)}; ${namedText(document, problem.remedy)}</button>`)}
       <${SizeFix} editor=${editor} size=${sizeThatFits(editor.engine.sizes, document)} />
       ${warnings.map((warning, k) => html`<button key=${k} class="warning" title=${warning.paths.length ? "select it" : "of the level as a whole"} onClick=${() => editor.show(warning.paths)}>⚠ ${namedText(document, warning.text)}</button>`)}
     </div>

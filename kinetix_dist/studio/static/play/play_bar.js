@@ -70,7 +70,7 @@ export function PlayBar({ play, children }) {
       <button onClick=${() => play.control("take_over", { policy: "keys" })} title="play on from this step by keys">take over</button>
       ${children}
     </div>
-    <p class="play-state" role="status" data-outcome=${play.outcome}><b>${playerWords(keyOfPolicy(play.policy))}</b> · step ${frame.step} of ${session.max_steps} · ${(frame.step * session.step_seconds).toFixed(1)} s · reward ${short(frame.reward)} · return ${frame.total.toFixed(3)} · <span title="from edge to edge; touching in any physics step solves the level">${frame.gap > 0 ? `green is ${gapText(frame.gap)} from blue` : "green touches blue"}</span>${play.outcome ? html` · <b>${play.outcome}</b>` : ""}${session.exact ? "" : " · simulated again"}${play.isStored ? " · from the stored arrays" : ""}</p>
+    <p class="play-state" role="status" data-outcome=${play.outcome}><b>${playerWords(keyOfPolicy(play.policy))}</b> · step ${frame.step} of ${session.max_steps} · ${(frame.step * session.step_seconds).toFixed(1)} s · reward ${short(frame.reward)} · return ${frame.total.toFixed(3)} · <span title="from edge to edge; touching in any physics step solves the level">${play.isSolved ? "green touched blue" : `green is ${gapText(frame.gap)} from blue`}</span>${play.outcome ? html` · <b>${play.outcome}</b>` : ""}${session.exact ? "" : " · simulated again"}${play.isStored ? " · from the stored arrays" : ""}</p>
     ${play.problem ? html`<p class="bad" role="alert">${play.problem}</p>` : null}
     ${isPerson ? html`<${Pads} play=${play} />` : html`<${Mind} play=${play} />`}
   </div>`;
@@ -115,8 +115,8 @@ function Mind({ play }) {
         : html`<span class="chance">${parts.map((/** @type {any} */ part) => part.number.toFixed(2)).join(" ± ")}</span>`}</div>`)}</div></div>`;
 }
 
-/** Distance of two edges: 0 is a touch, so that none is rounded to it. @param {number} metres */
-const gapText = (metres) => (metres < 0.01 ? `${Math.max(metres * 1000, 0.1).toFixed(1)} mm` : `${metres.toFixed(2)} m`);
+/** @param {number} metres */
+const gapText = (metres) => (metres < 0.01 ? `${(1000 * metres).toFixed(1)} mm` : `${metres.toFixed(2)} m`);
 
 /** @param {number | null} colour @param {number} value the value that the choice sets */
 function nameOfChoice(colour, value) {
