@@ -244,6 +244,17 @@ def test_a_joint_takes_the_two_shapes_that_are_nearest(editing: Callable[..., Be
     bench.page.locator(".note", has_text="only one shape here").wait_for()
 
 
+def test_why_a_level_cannot_be_played_is_shown_until_it_changes(editing: Callable[..., Bench], tmp_path: Path) -> None:
+    bench = editing(tmp_path / "mine.json")
+    page = bench.page
+    page.get_by_label("the level").press("Space")
+    page.get_by_role("alert").filter(has_text="0 shapes are green").wait_for()
+    bench.use("Box")
+    bench.click(1.0, 1.0)
+    page.get_by_role("alert").wait_for(state="detached")
+    page.locator(".note", has_text="drag from corner to corner").wait_for()
+
+
 def test_the_page_says_who_plays_and_another_takes_over(editing: Callable[..., Bench]) -> None:
     page = editing("s/hop_home").page
     choice, state = page.get_by_label("who plays"), page.locator(".play-state")

@@ -67,6 +67,9 @@ function Workplace({ editor, opened, engine, about }) {
     if (connection === "connected") checks.request(editor.settled);
   }, [editor.settled, connection]);
   useEffect(() => {
+    if (play.problem && !play.isOpen) void play.close(); // it was about the level before
+  }, [editor.settled]);
+  useEffect(() => {
     if (drafted.current === editor.history.present) return undefined;
     drafted.current = editor.history.present;
     const timer = setTimeout(() => keepDraft(editor), 300);
