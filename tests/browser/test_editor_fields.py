@@ -269,9 +269,24 @@ def test_the_page_says_who_plays_and_another_takes_over(editing: Callable[..., B
     state.filter(has_text="no actions · step").wait_for()
     page.get_by_role("button", name="stop").click()
     assert choice.input_value() == "noop"
-    # As teach it plays what it found, while another player is chosen: the page says who it is.
-    page.keyboard.press("Space")
-    state.filter(has_text="no actions").wait_for()
+
+
+def test_the_page_says_that_a_proof_plays_while_a_person_is_chosen(editing: Callable[..., Bench]) -> None:
+    """`solve it` plays what it found; its result is given here, without a search."""
+    level = json.loads((levels_root() / "s" / "hop_home.json").read_text())
+    proof = {"steps": 9, "method": "random", "robustness": None, "actions": [[0, 0, 0, 0, 1, 0]] * 9}
+    job = {"number": 1, "kind": "solve", "state": "done", "document": level, "text": "solved", "proof": proof}
+    job |= {"before": None, "after": None, "run": None, "files": {}, "elapsed": 1, "command": "", "advice": ""}
+    page = editing("s/hop_home").page
+    page.route("**/api/teaching", lambda route: route.fulfill(json={"results": "", "seconds": [60], "job": job}))
+    page.reload()
+    page.get_by_role("button", name="play the proof").click()
+    page.locator(".play-state", has_text="the proof · step").wait_for(timeout=COMPILE_MS)
+    choice = page.get_by_label("who plays")
+    assert choice.input_value() == "actions"
+    page.get_by_role("button", name="stop").click()
+    page.locator(".play-state").wait_for(state="detached")
+    assert choice.input_value() == "keys"
 
 
 def test_the_distance_is_that_of_edges_and_a_touch_solves(editing: Callable[..., Bench], tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ function keyOfPolicy(policy) {
 }
 
 /** @type {Record<string, string>} */
-const PLAYERS = { keys: "you, by keys", random: "random actions", noop: "no actions", actions: "a stored solution" };
+const PLAYERS = { keys: "you, by keys", random: "random actions", noop: "no actions", actions: "the proof" };
 
 /** Who that is. @param {string} key of a select */
 export function playerWords(key) {
