@@ -43,19 +43,17 @@ class Args(ServerArgs):
 
 
 def run(args: Args) -> int:
-    packed = None if args.level is None else linked_level(args.level)
-    if packed is not None:
-        read_link(packed)  # what is wrong with it is said here
-    editor = EditorConfig() if packed is not None else editor_of(args.level)
-    editor = dataclasses.replace(editor, results=args.results)
-    page = PAGE if packed is None else f"{PAGE}?level={packed}"
-    return serve_pages("editor", args, ServerConfig(paths=(), optional_paths=(RUNS,), editor=editor, first_page=page))
+    editor = dataclasses.replace(editor_of(args.level), results=args.results)
+    return serve_pages("editor", args, ServerConfig(paths=(), optional_paths=(RUNS,), editor=editor, first_page=PAGE))
 
 
 def editor_of(given: str | None) -> EditorConfig:
-    """Raises UserError for what is no level, file or directory."""
+    """Raises UserError for a damaged link, and for what is no link, level, file or directory."""
     if given is None:
         return EditorConfig()
+    if (packed := linked_level(given)) is not None:
+        read_link(packed)  # what is wrong with it is said here
+        return EditorConfig(opens=f"link/{packed}")
     path = Path(given)
     if path.is_dir():
         return EditorConfig(files=LevelFiles(directory=path))
@@ -72,6 +70,6 @@ def editor_of(given: str | None) -> EditorConfig:
             f"levels, and a new file has a name that ends in {SUFFIX}, in a directory that is there"
         )
         hint = did_you_mean(given, designed_names(), help_text)
-        raise UserError(f"{given!r} is no designed level, level file or directory of them; {hint}")
+        raise UserError(f"{given!r} is no designed level, level file, directory of them or link; {hint}")
     name = designed[0].relative_to(levels_root()).with_suffix("").as_posix()
     return EditorConfig(opens=f"designed/{name}")

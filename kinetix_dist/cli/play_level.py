@@ -3,6 +3,7 @@
     kinetix-dist levels play s/hop_home --open                  by keys
     kinetix-dist levels play mine.json --policy generalist      by the bundled policy, `random` or `noop`
     kinetix-dist levels play l/walker --policy runs/sfl_l       by that of a run
+    kinetix-dist levels play 'LINK'                             the level of a link of any editor; in quotes
 
 The pages are those of `kinetix-dist edit`: stopped, the level can be changed, and a level file be saved.
 """
@@ -19,6 +20,7 @@ from kinetix_dist.cli.edit import PAGE, RESULTS, editor_of
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.studio.server.app import ServerConfig
+from kinetix_dist.studio.server.level_links import linked_level, read_link
 
 WITHOUT_A_NETWORK = ("keys", "random", "noop")
 
@@ -28,7 +30,7 @@ class Play(ServerArgs):
     """Play one level in a browser, by keys or by a policy."""
 
     level: tyro.conf.Positional[str]
-    """A level file, or a designed level such as s/hop_home."""
+    """A level file, a designed level such as s/hop_home, or the link of a level."""
     policy: str = "keys"
     """Player: "keys", "random", "noop", a pretrained policy such as generalist, or a run directory."""
     results: Path = RESULTS
@@ -45,9 +47,15 @@ def run_play(args: Play) -> int:
 
 
 def _level_to_open(given: str) -> str:
-    """File that the editor opens: of a directory of one level its file. Raises UserError for anything else."""
+    """Level that the editor opens: of a directory of one level its file. Raises UserError for what is no level."""
+    from kinetix_dist.level.schema import level_from_json
     from kinetix_dist.level.sets import file_of_level, read_level
 
+    if (packed := linked_level(given)) is not None:
+        document = read_link(packed)
+        with user_errors(ValueError, prefix="the level of this link: "):
+            level_from_json(document)
+        return given
     with user_errors(ValueError, OSError):
         file = file_of_level(given)
         read_level(file)

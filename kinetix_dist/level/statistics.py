@@ -294,11 +294,17 @@ def separations(level: Level) -> Array:
     return jax.vmap(lambda own, r: against(own, r, corners, radius))(corners, radius)
 
 
-def _corners_and_radii(level: Level) -> tuple[Array, Array]:
-    """[n, V, 2] corners in the world and [n] radii, as `separation` takes them."""
+def own_corners(level: Level) -> tuple[Array, Array]:
+    """[n, V, 2] corners, each in the frame of its shape, and [n] radii: of a polygon 0, of a circle the corners are."""
     shapes, capacity = level.scene.shapes, capacity_of(level)
     vertices = jnp.concatenate([shapes.vertices, jnp.zeros((capacity.circles, capacity.vertices, 2), jnp.float32)])
     radius = jnp.concatenate([jnp.zeros(capacity.polygons, jnp.float32), shapes.radius])
+    return vertices, radius
+
+
+def _corners_and_radii(level: Level) -> tuple[Array, Array]:
+    """[n, V, 2] corners in the world and [n] radii, as `separation` takes them."""
+    vertices, radius = own_corners(level)
     return world_corners(jnp.asarray(level.position), jnp.asarray(level.angle), vertices), radius
 
 

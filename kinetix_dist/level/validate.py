@@ -10,7 +10,6 @@ wrong structure are left out of the second pass.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -28,19 +27,20 @@ from kinetix_dist.level.structure import (
 )
 from kinetix_dist.level.walls import WALL_CENTRES_M, WALL_NAMES
 
-__all__ = ["LevelFormatError", "MissingRoleError", "check_polygon", "problems_of", "read_document", "validate_document"]
+__all__ = ["LevelFormatError", "RoleError", "check_polygon", "problems_of", "read_document", "validate_document"]
 
 MIN_AREA_M2 = 1e-6  # a square of 1 mm
 MAX_ANCHOR_GAP_M = 0.3  # ends of a joint farther apart are a mistake; people draw gaps of 0.15 m in the web editor
 _PARTS = ("shapes", "joints", "thrusters")
 
 
-class MissingRoleError(LevelFormatError):
-    """No shape has a role that a level needs: of a level that is still drawn no mistake."""
+class RoleError(LevelFormatError):
+    """Another number of shapes than one has a role. Without any the level may be still drawn, which is no mistake."""
 
-    def __init__(self, role: str, path: str, problem: str, remedy: str) -> None:
-        super().__init__(path, problem, remedy)
-        self.role = role
+    def __init__(self, role: str, holders: list[str]) -> None:
+        """holders: paths of the shapes and walls that have the role."""
+        super().__init__("shapes", f"{len(holders)} shapes are {role}", f"make exactly one shape {role}")
+        self.role, self.holders = role, holders
 
 
 def validate_document(document: Any, capacity: Capacity, size_name: str | None = None) -> None:
@@ -215,12 +215,12 @@ def _in_world(frame: tuple[float, float, float], point: list[float]) -> tuple[fl
 
 
 def _role_problems(document: dict[str, Any]) -> Iterator[LevelFormatError]:
-    holders = [*document["shapes"], *document.get("walls", {}).values()]
-    roles = Counter(holder.get("role", "none") for holder in holders)
+    elements = {f"shapes[{i}]": shape for i, shape in enumerate(document["shapes"])}
+    elements |= {f"walls.{name}": wall for name, wall in document.get("walls", {}).items()}
     for role in ("green", "blue"):
-        if roles[role] != 1:
-            kind = LevelFormatError if roles[role] else functools.partial(MissingRoleError, role)
-            yield kind("shapes", f"{roles[role]} shapes are {role}", f"make exactly one shape {role}")
+        holders = [path for path, element in elements.items() if element.get("role") == role]
+        if len(holders) != 1:
+            yield RoleError(role, holders)
 
 
 def _room_problems(document: dict[str, Any], capacity: Capacity, size_name: str) -> Iterator[LevelFormatError]:

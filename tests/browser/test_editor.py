@@ -405,13 +405,13 @@ def test_levels_come_in_and_go_out(editing: Callable[..., Any], tmp_path: Path) 
     page.wait_for_function("() => location.hash.includes('level=')")
     other = page.context.new_page()
     other.goto(page.url)
-    other.get_by_role("button", name="chassis (green)").wait_for()
+    other.get_by_role("button", name="chassis (green box)").wait_for()
     other.close()
 
     page.locator("input[type=file]").set_input_files(public.value.path())
     page.get_by_role("button", name="polygon_4 (green)").wait_for()
     page.get_by_role("button", name="Undo").click()
-    page.get_by_role("button", name="chassis (green)").wait_for()
+    page.get_by_role("button", name="chassis (green box)").wait_for()
     for content, text in ((b"{", "is not JSON"), (b"[1]", "no JSON object"), (b"x" * 4_000_000, "too large")):
         page.locator("input[type=file]").set_input_files(
             {"name": "a.json", "mimeType": "application/json", "buffer": content}

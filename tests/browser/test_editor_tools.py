@@ -174,7 +174,7 @@ def test_roles_by_buttons_and_keys_and_a_new_level_without_complaints(
 
 def test_every_tool_has_an_icon_a_label_and_a_title(editing: Callable[..., Bench], tmp_path: Path) -> None:
     buttons = editing(tmp_path / "mine.json").page.get_by_role("toolbar").locator("button").all()
-    assert len(buttons) == 10 + 4 + 13 + 5
+    assert len(buttons) == 10 + 4 + 14 + 5
     for button in buttons:
         assert button.get_attribute("aria-label") and button.get_attribute("title")
         assert button.locator("svg path, svg circle, svg rect").count() or len(button.inner_text()) == 1

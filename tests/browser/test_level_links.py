@@ -11,7 +11,8 @@ import pytest
 from tests.browser.test_editor import Bench
 from tests.studio.serving import Server, serving
 
-CHASSIS = "chassis (green)"  # of m/ramp_car
+CHASSIS = "chassis (green box)"  # of m/ramp_car
+COMPILE_MS = 180_000  # until play starts: the worker compiles behind everything else
 PASTE = """(text) => {
   const data = new DataTransfer();
   data.setData("text/plain", text);
@@ -85,6 +86,15 @@ def test_the_command_opens_a_link(browser: Any, serve: Callable[..., Server], li
     page.goto(server.address)  # the printed one
     is_opened(page)
     context.close()
+
+
+def test_levels_play_plays_the_level_of_a_link(
+    open_page: Callable[..., Any], serve: Callable[..., Server], link: str
+) -> None:
+    page = open_page(serve(link, "--policy", "random", name="levels play"), "#/edit")
+    page.locator(".play-state", has_text="random actions · step").wait_for(timeout=COMPILE_MS)
+    page.get_by_role("button", name="stop").click()
+    is_opened(page)
 
 
 def test_a_level_survives_the_exchange_of_the_token(browser: Any, serve: Callable[..., Server], link: str) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import subprocess
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -114,9 +116,18 @@ def test_levels_play_names_the_level_and_who_plays_it(tmp_path: Path, levels: Pa
         assert [found["id"] for found in server.json("/api/runs")["runs"]] == (["mine"] if player == "a run" else [])
 
 
+def test_edit_and_play_open_the_level_of_a_link(levels: Path) -> None:
+    part = "1." + base64.urlsafe_b64encode(zlib.compress((levels / "mine.json").read_bytes())).decode().rstrip("=")
+    link = f"https://gpu.example/#/edit?level={part}"
+    for name, plays in (("edit", None), ("levels play", "keys")):
+        with serving(link, name=name) as server:
+            about = server.json("/api/levels")
+            assert about["opens"] == f"link/{part}" and about["plays"] == plays and about["files"] is None
+
+
 def test_what_is_no_level_is_one_line_and_status_2(tmp_path: Path) -> None:
     (tmp_path / "picture.png").write_text("")
-    for given, text in (("nothing", "is no designed level, level file or directory"), ("picture.png", "end in .json")):
+    for given, text in (("nothing", "level file, directory of them or link"), ("picture.png", "end in .json")):
         done = subprocess.run(
             command(given, name="edit"),
             capture_output=True, text=True, env=environment(), cwd=tmp_path, timeout=PATIENCE_S, check=False,

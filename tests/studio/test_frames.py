@@ -21,7 +21,7 @@ def drawn(sizes: FrameSizes = SIZES, **changes) -> Frame:
     draws = np.random.default_rng(0)
     arrays = {name: draws.normal(size=shape).astype(np.float32) for name, shape in sizes.arrays}
     facts = {"session": 3, "step": 70_000, "flags": frames.DONE | frames.SOLVED, "seq": 2**32 - 1, "reward": 0.5}
-    return Frame(**facts | {"total_reward": 1.25, "value": -0.25, "distance": 2.0} | arrays | changes)
+    return Frame(**facts | {"total_reward": 1.25, "value": -0.25, "gap": 2.0} | arrays | changes)
 
 
 def test_a_frame_comes_back() -> None:
@@ -33,8 +33,8 @@ def test_a_frame_comes_back() -> None:
 
 def test_bytes_are_those_of_the_documentation() -> None:
     data = frames.encode(drawn())
-    # u8 version, u8 flags, u16 session, u32 step, u32 seq, f32 reward, return, value, distance
-    assert struct.unpack_from("<BBHIIffff", data) == (1, 3, 3, 70_000, 2**32 - 1, 0.5, 1.25, -0.25, 2.0)
+    # u8 version, u8 flags, u16 session, u32 step, u32 seq, f32 reward, return, value, gap
+    assert struct.unpack_from("<BBHIIffff", data) == (2, 3, 3, 70_000, 2**32 - 1, 0.5, 1.25, -0.25, 2.0)
     assert struct.unpack_from("<3f", data, 28 + 12 * 5) == tuple(drawn().poses[5])
     assert len(data) == 28 + 12 * 16 + 4 * (6 + 2 + 6 + 16)
     at_l = FrameSizes(shapes=16, joints=6, thrusters=2)
@@ -57,8 +57,8 @@ def test_bytes_of_other_sizes_or_another_version_are_refused() -> None:
     data = frames.encode(drawn())
     with pytest.raises(ValueError, match="bytes"):
         frames.decode(data[:-1], SIZES)
-    with pytest.raises(ValueError, match="version 2"):
-        frames.decode(b"\2" + data[1:], SIZES)
+    with pytest.raises(ValueError, match="version 1"):
+        frames.decode(b"\1" + data[1:], SIZES)
 
 
 def test_a_server_can_import_both_without_jax() -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import base64
 import json
 import zlib
+from typing import Any
 
 import pytest
 
+from kinetix_dist.cli.main import main
 from kinetix_dist.errors import UserError
 from kinetix_dist.studio.server.level_links import LINK_VERSION, MAX_LEVEL_BYTES, linked_level, read_link
 from tests.helpers import REPOSITORY
@@ -46,6 +48,31 @@ def test_links_from_before_there_were_versions_open() -> None:
 @pytest.mark.parametrize("text", ["s/hop_home", "mine.json", "my_levels/", "sublevel=1.x"])
 def test_files_and_levels_are_no_links(text: str) -> None:
     assert linked_level(text) is None
+
+
+@pytest.mark.parametrize("text", ["http://127.0.0.1:8650/#/edit", "https://gpu.example/?token=x", "#/edit?from=a"])
+def test_an_address_without_a_level_is_a_link_that_holds_none(text: str) -> None:
+    with pytest.raises(UserError, match="it holds no level"):
+        read_link(str(linked_level(text)))
+
+
+@pytest.mark.parametrize("command", [["edit"], ["levels", "play"]])
+@pytest.mark.parametrize(
+    ("part", "text"),
+    [(PART[:-20], "cut off"), (f"7.{PART[2:]}", "of version 7"), ("", "holds no level")],
+)
+def test_commands_refuse_a_bad_link_in_one_line(command: list[str], part: str, text: str, capsys: Any) -> None:
+    assert main([*command, f"http://127.0.0.1:8650/#/edit?level={part}"]) == 2
+    line = capsys.readouterr().err
+    assert text in line and line.count("\n") == 1
+
+
+def test_playing_refuses_the_level_of_a_link_that_cannot_be_played(capsys: Any) -> None:
+    """The editor opens it: it is still to be drawn."""
+    unfinished = part_of(json.dumps(LEVEL | {"joints": [], "shapes": LEVEL["shapes"][:1]}).encode())
+    assert main(["levels", "play", f"level={unfinished}"]) == 2
+    line = capsys.readouterr().err
+    assert "the level of this link: shapes: 0 shapes are blue" in line and line.count("\n") == 1
 
 
 DAMAGED: dict[str, tuple[str, str]] = {

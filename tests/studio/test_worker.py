@@ -23,7 +23,7 @@ from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.installation import data_directory
 from kinetix_dist.level.kinetix_format import export_kinetix
-from kinetix_dist.level.level import Level
+from kinetix_dist.level.level import Level, Role
 from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import read_proof
 from kinetix_dist.level.schema import load_level
@@ -116,7 +116,10 @@ def test_keys_of_a_stored_proof_solve_its_level_bit_for_bit(worker: Client) -> N
         assert state["step"] == number + 1
     end = worker.other("play.end").content
     assert (end["outcome"], end["step"], end["session"]) == ("solved", len(actions), session["session"])
-    assert end["return"] == pytest.approx(1 + 0.1 * first.distance, abs=0.1)  # the dense reward is 0.1 for each metre
+    [green], [blue] = (np.flatnonzero(level().shape_role == role) for role in (Role.GREEN, Role.BLUE))
+    apart = np.linalg.norm(level().position[green] - level().position[blue])
+    assert end["return"] == pytest.approx(1 + 0.1 * apart, abs=0.1)  # the dense reward is 0.1 for each metre of centres
+    assert first.gap == pytest.approx(mine.moments[0].gap) and apart > first.gap > mine.moments[-1].gap
     close(worker, session)
 
 

@@ -34,7 +34,7 @@ class EditorConfig:
     """Arguments of `kinetix-dist edit` or `levels play`."""
 
     files: LevelFiles | None = None  # None: nothing can be saved here, levels are downloaded
-    # The level that is shown first: "designed/s/hop_home", "file/mine.json"; None: the gallery.
+    # The level that is shown first: "designed/s/hop_home", "file/mine.json", "link/1.eJx..."; None: the gallery.
     opens: str | None = None
     # Who plays it at once: "keys", "random", "noop" or "checkpoint:generalist"; None: it is shown for editing.
     plays: str | None = None

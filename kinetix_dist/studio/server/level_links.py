@@ -20,14 +20,18 @@ from kinetix_dist.errors import UserError
 LINK_VERSION = 1
 MAX_LEVEL_BYTES = 3_000_000  # a few bytes of a link can be many
 _LINK = re.compile(r"(?:^|[#?&])level=([^&#\s]*)")
+_ADDRESS = re.compile(r"https?://|#/")
 _PACKED = re.compile(r"(?:(\d+)\.)?([\w-]+)", re.ASCII)
 _WITHOUT_HEADER = -zlib.MAX_WBITS
 
 
 def linked_level(text: str) -> str | None:
-    """The level's part of a link, of what is behind its #, or of `level=...`; None: the text is no link."""
+    """The level's part of a link, of what is behind its #, or of `level=...`; "" of an address without a level, which
+    `read_link` refuses. None: the text is no link."""
     found = _LINK.search(text.strip())
-    return found[1] if found else None
+    if found:
+        return found[1]
+    return "" if _ADDRESS.match(text.strip()) else None
 
 
 def read_link(packed: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import struct
 
 import numpy as np
 
-FRAME_VERSION = 1
+FRAME_VERSION = 2
 FIELDS = (  # struct code, name
     ("B", "version"),
     ("B", "flags"),
@@ -21,7 +21,7 @@ FIELDS = (  # struct code, name
     ("f", "reward"),
     ("f", "total_reward"),
     ("f", "value"),
-    ("f", "distance"),
+    ("f", "gap"),
 )
 HEADER = struct.Struct("<" + "".join(code for code, _ in FIELDS))
 DONE, SOLVED, FAILED, UNSTABLE, AGAIN = 1, 2, 4, 8, 16  # flags; AGAIN: a step that was played before
@@ -69,7 +69,7 @@ class Frame:
     reward: float = 0.0
     total_reward: float = 0.0  # the return so far
     value: float = 0.0  # by the policy; 0 without one
-    distance: float = 0.0  # m, of green and blue
+    gap: float = 0.0  # m, from the edge of green to that of blue; 0 where they touch or overlap
 
 
 def encode(frame: Frame) -> bytes:

@@ -23,7 +23,7 @@ from kinetix_dist.level.mechanisms.ready_made import READY_MADE, ready_made_leve
 from kinetix_dist.level.mutators import MUTATORS, apply, mutate
 from kinetix_dist.level.simulation import noop_solved
 from kinetix_dist.level.start_warnings import noop_warning
-from kinetix_dist.level.validate import MissingRoleError
+from kinetix_dist.level.validate import LevelFormatError, RoleError
 from kinetix_dist.studio.worker import programs
 from kinetix_dist.studio.worker.attempts import steps_until_noop_solves
 from kinetix_dist.studio.worker.document_check import check_document
@@ -60,15 +60,7 @@ def check(request: Request) -> Answer:
     """Checks a document: all problems at once; without any: warnings, facts and a picture."""
     plays = request.flag("play", default=True)
     checked = check_document(request.fields.get("document"))
-    problems = [
-        {
-            "path": problem.path,
-            "problem": problem.problem,
-            "remedy": problem.remedy,
-            "missing_role": problem.role if isinstance(problem, MissingRoleError) else None,
-        }
-        for problem in checked.problems[:MAX_LISTED]
-    ]
+    problems = [_problem(problem) for problem in checked.problems[:MAX_LISTED]]
     answer: dict[str, Any] = {"problems": problems, "num_problems": len(checked.problems)}
     if checked.level is None:
         return answer | {"warnings": [], "facts": None, "display": None, "poses": None}, b""
@@ -81,6 +73,17 @@ def check(request: Request) -> Answer:
         warnings += noop_warning(solved_at)
     listed = [dataclasses.asdict(warning) for warning in warnings]
     return answer | {"warnings": listed, "facts": facts} | _picture(checked.level), b""
+
+
+def _problem(problem: LevelFormatError) -> dict[str, Any]:
+    is_of_role = isinstance(problem, RoleError)
+    return {
+        "path": problem.path,
+        "paths": problem.holders if is_of_role else [problem.path],
+        "problem": problem.problem,
+        "remedy": problem.remedy,
+        "missing_role": problem.role if is_of_role and not problem.holders else None,
+    }
 
 
 def display(request: Request) -> Answer:

@@ -24,6 +24,7 @@ from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState, PreparedLevels, StepInfo
 from kinetix_dist.evaluation.policies import NetworkPolicy, Policy, act
+from kinetix_dist.level.goal_gap import GoalPairs, goal_gap
 from kinetix_dist.level.level import Level
 from kinetix_dist.studio.worker.wire import BAD_REQUEST, RequestError
 
@@ -131,6 +132,12 @@ def poses(env: Environment, prepared: PreparedLevels, env_state: EnvState) -> Ar
     """[W, n, 3] x, y (m), angle (rad) of every shape."""
     position, angle, _, _ = env.engine.bodies(env_state.packed_state)
     return jnp.concatenate([position, angle[..., None]], axis=-1)
+
+
+@jax.jit
+def gap(pairs: GoalPairs, poses: Array) -> Array:
+    """`goal_gap` of shapes at poses [n, 3]."""
+    return goal_gap(pairs, poses[:, :2], poses[:, 2])
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))

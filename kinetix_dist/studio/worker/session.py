@@ -22,6 +22,7 @@ from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import EnvState
 from kinetix_dist.evaluation.policies import Player, first_memory
+from kinetix_dist.level.goal_gap import goal_pairs
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, Level
 from kinetix_dist.studio.worker import frames, programs
 from kinetix_dist.studio.worker.wire import BAD_REQUEST, NOT_FOUND, RequestError
@@ -53,7 +54,7 @@ class Moment:
     reward: float = 0.0
     flags: int = 0
     seq: int = 0
-    distance: float  # of green and blue, m
+    gap: float  # from the edge of green to that of blue, m
     choice: programs.Choice | None = None  # what the actor will do; None: a person, or the end
     shown: programs.Choice | None = None  # what is shown of it; at the end: of what the actor did last
     actor: Actor | None = None  # whose choice that is
@@ -78,17 +79,19 @@ class Session:
         self.prepared = programs.prepare(self.person_env, stack_worlds([level]))
         programs.check_effects(self.prepared)
         env_state, obs = programs.reset(self.person_env, self.prepared)
+        self._goal_pairs = goal_pairs(level)
+        start_poses = np.asarray(programs.poses(self.person_env, self.prepared, env_state))[0]
         zeros = np.zeros(frames.NUM_COLOURS, np.float32)
         num_joints, num_thrusters = len(level.motor_colour), len(level.thruster_colour)
         self._start = Moment(
             env_state=env_state,
             obs=obs,
             memory=None,
-            poses=np.asarray(programs.poses(self.person_env, self.prepared, env_state))[0],
+            poses=start_poses,
             motor=np.zeros(num_joints, np.float32),
             thruster=np.zeros(num_thrusters, np.float32),
             colours=zeros,
-            distance=float(env_state.distance[0]),
+            gap=self._gap(start_poses),
         )
         self.actor = Actor(env=self.person_env, player=None, about={"kind": "keys"})
         self.moments = [self._start]
@@ -199,7 +202,7 @@ class Session:
                 reward=moment.reward,
                 total_reward=float(moment.env_state.episode_return[0]),
                 value=0.0 if shown is None else float(shown.value[0]),
-                distance=moment.distance,
+                gap=moment.gap,
             )
         )
 
@@ -224,11 +227,14 @@ class Session:
             reward=float(seen.reward[0]),
             flags=flags,
             seq=self.seq if player is None and self.actor.actions is None else 0,
-            distance=moment.distance if has_diverged else float(stepped.env_state.distance[0]),
+            gap=moment.gap if has_diverged else self._gap(seen.poses[0]),
         )
         if after.is_done:
             return dataclasses.replace(after, shown=moment.choice, actor=self.actor)
         return self._with_choice(after)
+
+    def _gap(self, poses: np.ndarray) -> float:
+        return float(programs.gap(self._goal_pairs, poses))
 
     def _given_action(self, moment: Moment) -> np.ndarray:
         """[1, 6] of a person, or of the actions that the actor was given for this step."""

@@ -23,9 +23,9 @@ export function EvaluatedLevel({ run, row, columns, size, problem }) {
     if (row.changes) facts.push([`since ${words} (${row.changes[kind].from})`, changeText(row.changes[kind])]);
   }
   const { distance, ...counts } = row.features ?? {};
-  const features = row.features ? `${featureText(counts)}, green to blue ${distance.toFixed(2)} m at the start` : "";
+  const features = row.features ? `${featureText(counts)}, green to blue ${distance.toFixed(2)} m at the start, from centre to centre` : "";
   return html`<${LevelPanel} title=${row.name} run=${run} given=${given} subject=${`${run} ${row.set} ${row.index}`} label=${`level ${row.name}; keys play it`} picture=${drawn}
-      missing=${problem ?? picture.error ?? "the engine builds the set: seconds the first time ..."} size=${size ?? ""} facts=${facts} features=${features} document=${`${set}/document?${new URLSearchParams(fields)}`}>
+      missing=${problem ?? picture.error ?? "the engine builds the set: seconds the first time ..."} facts=${facts} features=${features} document=${`${set}/document?${new URLSearchParams(fields)}`}>
     <${History} row=${row} columns=${columns} />
   </${LevelPanel}>`;
 }

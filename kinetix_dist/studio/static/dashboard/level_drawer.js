@@ -17,7 +17,7 @@ export function LevelDrawer({ run, snapshot, level, picture, changes }) {
   if (level.training) facts.push(["in training", level.training.episodes ? `${counted(level.training)}` : "not played"]);
   if (level.born !== undefined) facts.push(["came in batch", level.born], ["last played in batch", level.last_played]);
   return html`<${LevelPanel} title=${`Level ${level.index} of ${snapshot.kind} ${snapshot.number}`} run=${run} given=${given} subject=${name}
-    label=${`level ${level.index}; keys play it`} picture=${picture} missing="no picture" size=${snapshot.size} facts=${facts}
+    label=${`level ${level.index}; keys play it`} picture=${picture} missing="no picture" facts=${facts}
     features=${featureText(level.features)} document=${`${own}/document`}>
     <${History} key=${`history ${name}`} own=${own} changes=${changes} />
   </${LevelPanel}>`;

@@ -17,9 +17,9 @@ export function featureText(features) {
  * `given`: the level as the engine worker calls it; `subject`: a name that no other level of the page has; `document`: the
  * address of its file below api/; `missing`: why there is no picture; `children`: the history.
  * @param {{ title: string, run: string, given: any, subject: string, label: string, picture: any, missing: string,
- *   size: string, facts: [string, any][], features: string, document: string, children?: any }} props
+ *   facts: [string, any][], features: string, document: string, children?: any }} props
  */
-export function LevelPanel({ title, run, given, subject, label, picture, missing, size, facts, features, document, children }) {
+export function LevelPanel({ title, run, given, subject, label, picture, missing, facts, features, document, children }) {
   const engine = useRequest(() => (picture ? get("engine") : Promise.resolve(null)), [Boolean(picture)]);
   return html`<aside class="panel drawer" data-panel="level"><header><h3 title=${title}>${title}</h3>
       <span class="buttons"><button onClick=${() => setQuery({ level: null })} aria-label="close">✕</button></span></header>
@@ -28,7 +28,7 @@ export function LevelPanel({ title, run, given, subject, label, picture, missing
     <dl class="facts">${facts.map(([fact, value]) => html`<div key=${fact}><dt>${fact}</dt><dd>${value}</dd></div>`)}</dl>
     <p class="soft">${features}</p>
     ${picture ? html`<a class="button" href=${addressOf(["edit"], new URLSearchParams({ from: document }))}>edit</a> <a class="button" href=${`api/${document}`} download>download as a level file</a>` : null}
-    ${picture && engine.data ? html`<${AttemptsPanel} key=${`attempts ${subject}`} given=${given} subject=${subject} size=${size} engine=${engine.data} run=${run} />` : null}
+    ${picture && engine.data ? html`<${AttemptsPanel} key=${`attempts ${subject}`} given=${given} subject=${subject} engine=${engine.data} player=${`run:${run}`} />` : null}
     ${children}
   </aside>`;
 }

@@ -5,7 +5,7 @@ const WAIT_MS = 120; // after a change; a drag is not checked at every pixel
 const PLAY_WAIT_MS = 700; // until the level is tested for solving itself
 
 /**
- * @typedef {{ path: string, problem: string, remedy: string, missing_role: string | null }} Problem
+ * @typedef {{ path: string, paths: string[], problem: string, remedy: string, missing_role: string | null }} Problem
  * @typedef {{ problems: Problem[], numProblems: number, warnings: { kind: string, paths: string[], text: string }[], facts: any,
  *   isCurrent: boolean, error: string }} Checked
  */

@@ -1,5 +1,7 @@
 // Everything that a key or a button does at once. The bar, the keyboard and the help are made from this list.
+import { elementAt, withElement } from "./document.js";
 import { aligned, copied, distributed, everything, joined, mirrored, moved, pasted, rolesTaken, turned, withRole, without } from "./edits.js";
+import { FIXED, isFixed, withValue } from "./fields.js";
 import { landingWords } from "./joining.js";
 import { GRID_M, TURN_RAD } from "./snap.js";
 import { WHOLE_VIEW } from "./state.js";
@@ -55,15 +57,24 @@ function click(editor) {
   TOOLS[editor.tool].down(editor, pointer)?.up(pointer);
 }
 
-/** Gives the selected shapes or walls a role. Green and blue are of one shape: the one that had it has none then.
- * @param {Editor} editor @param {string} role */
-function paint(editor, role) {
-  const holders = editor.selection.filter((path) => /^(shapes|walls)/.test(path));
+/** Gives shapes or walls a role. Green and blue are of one shape: the one that had it has none then.
+ * @param {Editor} editor @param {readonly string[]} paths @param {string} role */
+export function giveRole(editor, paths, role) {
+  const holders = paths.filter((path) => /^(shapes|walls)/.test(path));
   if (!holders.length) return editor.notify("select a shape or a wall first, then its role");
   if (holders.length > 1 && (role === "green" || role === "blue")) return editor.notify(`one shape of a level is ${role}: select one`);
   const others = rolesTaken(editor.settled, role, holders);
   editor.commit(withRole(editor.settled, holders, role));
   return editor.notify(others.length ? `${role} is one shape: ${others.join(", ")} ${others.length > 1 ? "have" : "has"} no role now` : "");
+}
+
+/** Fixes the selected shapes where they are; where all of them are fixed, they may move again. @param {Editor} editor */
+function fix(editor) {
+  const shapes = editor.selection.filter((path) => path.startsWith("shapes"));
+  if (!shapes.length) return editor.notify("select a shape first; walls are fixed anyway");
+  const areFixed = shapes.every((path) => isFixed(elementAt(editor.settled, path)));
+  editor.commit(shapes.reduce((level, path) => withElement(level, path, withValue(elementAt(level, path), FIXED, !areFixed)), editor.settled));
+  return editor.notify(areFixed ? "it moves" : "it is fixed: it never moves");
 }
 
 /** Selects the next element, or the one before. @param {Editor} editor @param {number} by */
@@ -92,10 +103,11 @@ export const COMMANDS = [
   { keys: ["tab"], label: "Next element", run: (editor) => next(editor, 1) },
   { keys: ["shift+tab"], label: "Element before", run: (editor) => next(editor, -1) },
   { keys: ["m"], label: "Mirror", icon: "mirror", run: (editor) => changed(editor, (level) => mirrored(level, editor.selection, editor.walls)) },
-  { keys: ["shift+g"], label: "Role green", role: "green", run: (editor) => paint(editor, "green") },
-  { keys: ["shift+b"], label: "Role blue", role: "blue", run: (editor) => paint(editor, "blue") },
-  { keys: ["shift+r"], label: "Role red", role: "red", run: (editor) => paint(editor, "red") },
-  { keys: ["shift+n"], label: "Role none", role: "none", run: (editor) => paint(editor, "none") },
+  { keys: ["shift+g"], label: "Role green", role: "green", run: (editor) => giveRole(editor, editor.selection, "green") },
+  { keys: ["shift+b"], label: "Role blue", role: "blue", run: (editor) => giveRole(editor, editor.selection, "blue") },
+  { keys: ["shift+r"], label: "Role red", role: "red", run: (editor) => giveRole(editor, editor.selection, "red") },
+  { keys: ["shift+n"], label: "Role none", role: "none", run: (editor) => giveRole(editor, editor.selection, "none") },
+  { keys: ["shift+f"], label: "Fixed, or free to move", icon: "pin", run: fix },
   { keys: ["["], label: "Turn left 15°", run: (editor) => changed(editor, (level) => turned(level, editor.selection, TURN_RAD, editor.walls)) },
   { keys: ["]"], label: "Turn right 15°", run: (editor) => changed(editor, (level) => turned(level, editor.selection, -TURN_RAD, editor.walls)) },
   { keys: ["{"], label: "Turn left 1°", run: (editor) => changed(editor, (level) => turned(level, editor.selection, FINE_RAD, editor.walls)) },

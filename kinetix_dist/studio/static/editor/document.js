@@ -1,6 +1,6 @@
 // A level document (docs/level_format.md) as a value: functions return another document and never change one.
 // Elements (shapes, joints, thrusters, walls) are named as the validator names them: "shapes[2]", "joints[0]", "thrusters[1]", "walls.floor".
-import { add, bounds, distance, isInside, rotate, roundedPoint, sub } from "./geometry.js";
+import { add, bounds, distance, distanceToPolygon, rotate, roundedPoint, sub } from "./geometry.js";
 
 /**
  * @typedef {import("./geometry.js").Point} Point
@@ -16,6 +16,7 @@ import { add, bounds, distance, isInside, rotate, roundedPoint, sub } from "./ge
 /** @type {readonly Part[]} */
 export const PARTS = ["shapes", "joints", "thrusters"];
 export const FORMAT = "kinetix-dist-level";
+export const WORLD_M = 5; // width and height of the box
 
 /** @returns {Level} */
 export function newLevel() {
@@ -119,9 +120,14 @@ export function boundsOf(shape) {
   return [x - shape.radius, y - shape.radius, x + shape.radius, y + shape.radius];
 }
 
-/** @param {Shape} shape @param {Point} point */
-export function contains(shape, point) {
-  return shape.type === "circle" ? distance(point, shape.position) <= shape.radius : isInside(point, worldCorners(shape));
+/** How far a point is from a shape, m; 0 within. @param {Shape} shape @param {Point} point */
+export function distanceTo(shape, point) {
+  return shape.type === "circle" ? Math.max(0, distance(point, shape.position) - shape.radius) : distanceToPolygon(point, worldCorners(shape));
+}
+
+/** Corners of a wall, counter-clockwise. @param {Wall} wall @returns {Point[]} */
+export function wallCorners({ position: [x, y], half_extents: [w, h] }) {
+  return [[x + w, y + h], [x - w, y + h], [x - w, y - h], [x + w, y - h]];
 }
 
 /** The shape or wall of an id, as something with a position and an angle. @param {Level} document @param {string} id

@@ -2,8 +2,8 @@
 
 /**
  * @typedef {{ name: string, label?: string, kind: "text" | "number" | "point" | "choice" | "flag" | "words", unit?: string, options?: string[],
- *   missing?: any, required?: boolean, step?: number, low?: number, help?: string }} Field
- *   name: "motor.speed" is one within another; missing: what holds if it is left out
+ *   missing?: any, required?: boolean, step?: number, low?: number, usual?: [number, number], help?: string }} Field
+ *   name: "motor.speed" is one within another; missing: what holds if it is left out; usual: what drawn and random levels have
  */
 
 export const ROLES = ["none", "green", "blue", "red"];
@@ -11,8 +11,8 @@ export const ROLES = ["none", "green", "blue", "red"];
 /** @type {Field[]} */
 const SURFACE = [
   { name: "role", kind: "choice", options: ROLES, missing: "none" },
-  { name: "friction", kind: "number", missing: 1, low: 0 },
-  { name: "restitution", kind: "number", missing: 0, low: 0 },
+  { name: "friction", kind: "number", missing: 1, low: 0, usual: [0.1, 1.2], help: "the product of the two shapes' counts" },
+  { name: "restitution", kind: "number", missing: 0, low: 0, usual: [0, 0.9], help: "share of the speed after a bounce, 1 at most" },
 ];
 
 /** @type {Field[]} */
@@ -27,11 +27,16 @@ export const LEVEL_FIELDS = [
   { name: "gravity", kind: "point", unit: "m/s²", missing: [0, -9.81] },
 ];
 
+/** @type {Field} */
+export const FIXED = { name: "fixed", kind: "flag", missing: false, help: "it never moves" };
+/** @param {any} shape */
+export const isFixed = (shape) => valueOf(shape, FIXED) === true;
+
 /** @type {Field[]} what shapes of all types have */
-export const SHAPE_FIELDS = [
+const SHAPE_FIELDS = [
   ...SURFACE.slice(0, 1),
-  { name: "fixed", kind: "flag", missing: false },
-  { name: "density", kind: "number", unit: "kg/m²", missing: 1, low: 0 },
+  FIXED,
+  { name: "density", kind: "number", unit: "kg/m²", missing: 1, low: 0, usual: [0.5, 4] },
   ...SURFACE.slice(1),
   { name: "collision", kind: "choice", options: ["normal", "ghost", "all"], missing: "normal" },
   { name: "velocity", kind: "point", unit: "m/s", missing: [0, 0] },
@@ -45,14 +50,17 @@ const OF_TYPE = {
   polygon: [0, 1, 2, 3].map((k) => ({ name: `vertices.${k}`, label: `corner ${k + 1}`, kind: "point", unit: "m", required: true })),
 };
 
-/** @type {Field[]} */
-const MOTOR = [
-  { name: "motor.speed", kind: "number", missing: 1, step: 0.1, help: "forward turns b counter-clockwise against a, with a negative speed clockwise: a wheel that is b rolls to the right where it is negative; 1 is 6 rad/s, of a slider 2 m/s" },
-  { name: "motor.power", kind: "number", missing: 1, low: 0, step: 0.1 },
-  { name: "motor.colour", kind: "choice", options: ["0", "1", "2", "3"], missing: 0 },
-  { name: "motor.auto", kind: "flag", missing: false },
+/** Speed and power are shares of the engine's (docs/level_format.md). @param {boolean} isSlider @returns {Field[]} */
+const motorFields = (isSlider) => [
+  { name: "motor.speed", kind: "number", unit: isSlider ? "×2 m/s" : "×6 rad/s", missing: 1, step: 0.1, usual: [0.4, 3], help: isSlider ? "forward pushes b along the axis, with a negative speed against it" : "forward turns b counter-clockwise against a, with a negative speed clockwise: a wheel that is b rolls to the right where it is negative" },
+  { name: "motor.power", kind: "number", unit: isSlider ? "×100 m/s²" : "×900 rad/s²", missing: 1, low: 0, step: 0.1, usual: [0.1, 3], help: "most acceleration of its two shapes alone: what they carry needs more" },
+  { name: "motor.colour", kind: "choice", options: ["0", "1", "2", "3"], missing: 0, help: "the action, and the keys, that drive it" },
+  { name: "motor.auto", kind: "flag", missing: false, help: "it always runs forward, without an action" },
   { name: "motor.on", kind: "flag", missing: true },
 ];
+
+/** What each element has for itself, and what depends on it. */
+const OWN = new Set(["id", "position", "type", "a", "b", "shape", "anchor", "anchor_a", "anchor_b"]);
 
 /** Fields of one element. @param {string} part @param {any} element @param {string[]} bodies names of shapes and walls @returns {Field[]} */
 export function fieldsOf(part, element, bodies) {
@@ -72,8 +80,8 @@ export function fieldsOf(part, element, bodies) {
       { name: "shape", kind: "choice", options: bodies, required: true },
       element.anchor ? { name: "anchor", label: "anchor (world)", kind: "point", unit: "m", required: true } : { name: "position", label: "position (on the shape)", kind: "point", unit: "m", missing: [0, 0] },
       { name: "angle", kind: "number", unit: "rad", required: true },
-      { name: "power", kind: "number", missing: 1, low: 0, step: 0.1 },
-      { name: "colour", kind: "choice", options: ["0", "1"], missing: 0 },
+      { name: "power", kind: "number", unit: "×10 N", missing: 1, low: 0, step: 0.1, usual: [0.04, 1] },
+      { name: "colour", kind: "choice", options: ["0", "1"], missing: 0, help: "the action, and the key, that drive it" },
     ];
   }
   /** @type {Field[]} */
@@ -88,8 +96,15 @@ export function fieldsOf(part, element, bodies) {
     { name: "rest_angle", label: "rest angle", kind: "number", unit: "rad" },
     ...(element.type === "prismatic" ? [/** @type {Field} */ ({ name: "axis", kind: "number", unit: "rad", required: true })] : []),
     ...(element.limits ? [/** @type {Field} */ ({ name: "limits", kind: "point", unit: element.type === "prismatic" ? "m" : "rad", required: true })] : []),
-    ...(element.motor ? MOTOR : []),
+    ...(element.motor ? motorFields(element.type === "prismatic") : []),
   ];
+}
+
+/** Fields that several elements of one part share. @param {string} part @param {any[]} elements @returns {Field[]} */
+export function sharedFields(part, elements) {
+  const [first, ...others] = elements.map((element) => fieldsOf(part, element, []));
+  const isShared = (/** @type {Field} */ field) => others.every((fields) => fields.some((other) => other.name === field.name && other.unit === field.unit));
+  return first.filter((field) => !OWN.has(field.name) && !field.name.startsWith("vertices.") && isShared(field));
 }
 
 /** @param {any} element @param {Field} field */

@@ -51,6 +51,21 @@ export function isInside(point, corners) {
   return corners.every((here, k) => cross(sub(corners[(k + 1) % corners.length], here), sub(point, here)) >= 0);
 }
 
+/** How far a point is from a convex polygon whose corners run counter-clockwise, m; 0 within. @param {Point} point @param {Point[]} corners */
+export function distanceToPolygon(point, corners) {
+  if (isInside(point, corners)) return 0;
+  return Math.min(...corners.map((here, k) => distanceToSegment(point, here, corners[(k + 1) % corners.length])));
+}
+
+/** @param {Point} point @param {Point} start @param {Point} end */
+function distanceToSegment(point, start, end) {
+  const along = sub(end, start);
+  const squared = along[0] ** 2 + along[1] ** 2;
+  const offset = sub(point, start);
+  const share = squared ? Math.min(Math.max((offset[0] * along[0] + offset[1] * along[1]) / squared, 0), 1) : 0;
+  return distance(point, [start[0] + share * along[0], start[1] + share * along[1]]);
+}
+
 /** Corners of the convex hull, counter-clockwise (Andrew's monotone chain). @param {Point[]} points @returns {Point[]} */
 export function hull(points) {
   const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);

@@ -1,7 +1,7 @@
 // Targets of a pointer: elements of the level, and handles of the selection.
-import { boundsOf, contains, cornersOf, jointEnds, jointsOf, parsePath, reshaped, shapesOf, thrusterPlace, thrustersOf, toLocal, toWorld } from "./document.js";
+import { boundsOf, cornersOf, distanceTo, jointEnds, jointsOf, parsePath, reshaped, shapesOf, thrusterPlace, thrustersOf, toLocal, toWorld, wallCorners } from "./document.js";
 import { middleOf, selectedShapes, turned } from "./edits.js";
-import { add, distance, hull, isInside, rotate, rounded, roundedPoint, signedArea, sub, wrapped } from "./geometry.js";
+import { add, distance, distanceToPolygon, hull, isInside, rotate, rounded, roundedPoint, signedArea, sub, wrapped } from "./geometry.js";
 import { draggedJoint, jointHandles } from "./joint_handles.js";
 import { snappedAngle } from "./snap.js";
 
@@ -28,20 +28,33 @@ export function thingsAt(document, point, reach, walls) {
     const place = thrusterPlace(document, thruster);
     if (place && distance(add(place.at, rotate([0.06, 0], place.angle)), point) <= reach) found.push(`thrusters[${k}]`);
   });
-  return [...found, ...shapePathsAt(document, point), ...walls.filter((wall) => isInWall(wall, point)).map((wall) => `walls.${wall.name}`)];
+  return [...found, ...bodiesNear(document, point, 0, walls).map(({ path }) => path)];
 }
 
-/** Shapes that are drawn later lie on top: what moves over what is fixed, circles over polygons. @param {Level} document @param {Point} point */
-function shapePathsAt(document, point) {
-  const drawn = document.shapes.map((shape, index) => ({ shape, index })).filter(({ shape }) => shapesOf(document).includes(shape) && contains(shape, point));
+/** @typedef {{ path: string, gap: number }} Near gap: to the point, m; 0 where the point lies within */
+
+/** Shapes and walls that are no farther from a point than `reach`, m: the nearest first, of equally near ones the upper one.
+ * @param {Level} document @param {Point} point @param {number} reach @param {readonly Wall[]} walls @returns {Near[]} */
+export function bodiesNear(document, point, reach, walls) {
+  const near = upperFirst(document).map((index) => ({ path: `shapes[${index}]`, gap: distanceTo(document.shapes[index], point) }));
+  near.push(...walls.map((wall) => ({ path: `walls.${wall.name}`, gap: distanceToPolygon(point, wallCorners(wall)) })));
+  return near.filter(({ gap }) => gap <= reach).sort((a, b) => a.gap - b.gap);
+}
+
+/** Indices of shapes. Those that are drawn later lie on top: what moves over what is fixed, circles over polygons. @param {Level} document */
+function upperFirst(document) {
+  const drawable = shapesOf(document);
+  const drawn = document.shapes.map((shape, index) => ({ shape, index })).filter(({ shape }) => drawable.includes(shape));
   const order = (/** @type {{ shape: any, index: number }} */ { shape, index }) => [Number(!shape.fixed), Number(shape.type === "circle"), index];
   drawn.sort((a, b) => order(a).reduce((result, value, k) => result || order(b)[k] - value, 0));
-  return drawn.map(({ index }) => `shapes[${index}]`);
+  return drawn.map(({ index }) => index);
 }
 
-/** @param {Wall} wall @param {Point} point */
-function isInWall(wall, point) {
-  return [0, 1].every((axis) => Math.abs(point[axis] - wall.position[axis]) <= wall.half_extents[axis]);
+/** The two bodies nearest to a point, the upper one first. @param {Level} document @param {Near[]} near of `bodiesNear` @returns {string[]} */
+export function nearestPair(document, near) {
+  const upper = upperFirst(document).map((index) => `shapes[${index}]`);
+  const depth = (/** @type {string} */ path) => (upper.includes(path) ? upper.indexOf(path) : Infinity); // walls lie below
+  return near.slice(0, 2).map(({ path }) => path).sort((a, b) => (depth(a) === depth(b) ? 0 : depth(a) - depth(b)));
 }
 
 /** Handles of the selection, if that is one element or some shapes. @param {Level} document @param {readonly string[]} selection

@@ -26,6 +26,7 @@ const ICONS = {
   whole: html`<path d="M3 8V3h5M16 3h5v5M21 16v5h-5M8 21H3v-5" /><rect x="8" y="8" width="8" height="8" />`,
   snap: html`<path d="M5 4v8a7 7 0 0 0 14 0V4h-5v8a2 2 0 0 1-4 0V4zM5 8h5M14 8h5" />`,
   add: html`<rect x="3" y="3" width="14" height="14" stroke-dasharray="3 2" /><path d="M18 14v8M14 18h8" stroke-width="2.4" />`,
+  pin: html`<path d="M8 3h8M9.500 3v7L6 14h12l-3.5-4V3" /><path d="M12 14v8" />`,
   car: html`<path d="M3 15v-4h4l3-4h6l2 4h3v4" /><circle cx="7.5" cy="16" r="3" fill="var(--panel)" /><circle cx="16.5" cy="16" r="3" fill="var(--panel)" />`,
   arm: html`<path d="M3 21h8M7 21v-5" /><path d="M7 14l6-8 7 5" stroke-width="3" /><circle cx="7" cy="14" r="2" fill="var(--panel)" /><circle cx="13" cy="6" r="2" fill="var(--panel)" />`,
   hopper: html`<rect x="9" y="2" width="5" height="8" /><path d="M11.5 10l-4 4.5 4 5.5h6" stroke-width="2.6" />`,

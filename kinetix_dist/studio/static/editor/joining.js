@@ -1,7 +1,7 @@
 // Tools that join shapes: where a click or a drag would land, which shapes it would join, and the joint that it makes.
 import { added, elementAt, jointEnds, jointsOf } from "./document.js";
 import { distance } from "./geometry.js";
-import { thingsAt } from "./handles.js";
+import { bodiesNear, nearestPair } from "./handles.js";
 import { newMotor } from "./motors.js";
 import { aimed, CLICK_PX, THING_PX } from "./pointing.js";
 
@@ -15,8 +15,8 @@ import { aimed, CLICK_PX, THING_PX } from "./pointing.js";
 
 const SAME_PLACE_M = 1e-6;
 
-/** Paths of shapes and walls at a point, the upper one first. @param {Editor} editor @param {Point} point */
-const bodiesAt = (editor, point) => thingsAt(editor.settled, point, 0, editor.walls).filter((path) => /^(shapes|walls)/.test(path));
+/** Shapes and walls under a pointer or next to it, the nearest first. @param {Editor} editor @param {Pointer} pointer @param {Point} point */
+const bodiesAt = (editor, { px, thick }, point) => bodiesNear(editor.settled, point, THING_PX * px * thick, editor.walls);
 
 /** @param {Editor} editor @param {string} path */
 const idOf = (editor, path) => (path.startsWith("walls.") ? path.slice(6) : elementAt(editor.settled, path).id);
@@ -25,9 +25,9 @@ const idOf = (editor, path) => (path.startsWith("walls.") ? path.slice(6) : elem
  * @param {Editor} editor @param {Pointer} pointer @param {Point | null} [start] of a drag @returns {Landing} */
 export function landingOf(editor, pointer, start = null) {
   const at = aimed(editor, pointer);
-  const [under, from] = [bodiesAt(editor, pointer.at), bodiesAt(editor, start ?? pointer.at)];
+  const [under, from] = [bodiesAt(editor, pointer, pointer.at), bodiesAt(editor, pointer, start ?? pointer.at)];
   // The upper shape is b, as a wheel that is drawn after its chassis.
-  const [b, a] = start ? [from[0], under.find((path) => path !== from[0])] : from;
+  const [b, a] = start ? [from[0]?.path, under.find(({ path }) => path !== from[0]?.path)?.path] : nearestPair(editor.settled, from);
   const bodies = [a, b].filter((path) => path !== undefined);
   const joint = jointAt(editor, pointer, at, bodies);
   if (joint) return { at, bodies, joint, why: "" };

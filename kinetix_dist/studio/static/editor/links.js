@@ -5,13 +5,15 @@
 
 export const LINK_VERSION = 1;
 const MAX_LEVEL_TEXT = 3_000_000; // characters: a few bytes of a link can be many
+const ADDRESS = /^(?:https?:\/\/|#\/)/;
 const LINK = /(?:^|[#?&])level=([^&#\s]*)/;
 
-/** The level of a link, of the part behind its #, or of `level=...` alone; null: the text is no link. @param {string} text @returns {string | null} */
+/** The level of a link, of the part behind its #, or of `level=...` alone; "" of an address without a level, which
+ * `levelTextOf` refuses; null: the text is no link. @param {string} text @returns {string | null} */
 export function linked(text) {
   const trimmed = text.trim();
   if (trimmed.startsWith("{") || /\s/.test(trimmed)) return null;
-  return LINK.exec(trimmed)?.[1] ?? null;
+  return LINK.exec(trimmed)?.[1] ?? (ADDRESS.test(trimmed) ? "" : null);
 }
 
 /** The level for a link. @param {any} document @returns {Promise<string>} */

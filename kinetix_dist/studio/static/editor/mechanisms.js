@@ -1,6 +1,6 @@
 // Ready-made mechanisms: the engine worker has them, the page puts them where there is room.
 import { channel } from "../base/channel.js";
-import { boundsOf } from "./document.js";
+import { boundsOf, WORLD_M } from "./document.js";
 import { pasted } from "./edits.js";
 import { rounded } from "./geometry.js";
 import { wheelOf } from "./motors.js";
@@ -16,7 +16,6 @@ import { countsOf, lacking, largerSize, sum } from "./sizes.js";
 const STEP_M = 0.1; // between the spots that are tried
 const REACH_M = 4.6; // to each side
 const APART_M = 0.02; // from other shapes, to the sides
-const WORLD_M = 5; // width and height of the box
 const LIFT = 3; // a metre up or down counts as so many to the side: cars stay on the floor
 
 /** Replies of the engine by mechanism and size. @type {Map<string, Promise<Copied>>} */

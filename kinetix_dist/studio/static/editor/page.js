@@ -6,7 +6,7 @@ import { html, useEffect, useMemo, useRef, useState } from "../base/html.js";
 import { useListeners } from "../base/listeners.js";
 import { AttemptsPanel } from "../play/attempts.js";
 import { PLAY_KEYS, Play, playKey } from "../play/play.js";
-import { PlayBar, PolicyChoice, policyOf } from "../play/play_bar.js";
+import { PlayBar, PlayerChoice, policyOf } from "../play/play_bar.js";
 import { CanvasView } from "./canvas_view.js";
 import { Checks } from "./checks.js";
 import { COMMANDS, commandOf, keyOf } from "./commands.js";
@@ -66,6 +66,9 @@ function Workplace({ editor, opened, engine, about }) {
   useEffect(() => {
     if (connection === "connected") checks.request(editor.settled);
   }, [editor.settled, connection]);
+  useEffect(() => {
+    if (play.problem && !play.isOpen) void play.close(); // it was about the level before
+  }, [editor.settled]);
   useEffect(() => {
     if (drafted.current === editor.history.present) return undefined;
     drafted.current = editor.history.present;
@@ -131,7 +134,7 @@ function Workplace({ editor, opened, engine, about }) {
     <${ToolBar} editor=${editor} isOff=${play.isOpen} />
     <div class="bar files">
       <button class="primary" onClick=${start} title="Space">${play.isOpen ? "■ stop" : "▶ play"}</button>
-      <${PolicyChoice} value=${policy} choose=${setPolicy} engine=${engine} label="who plays" />
+      <${PlayerChoice} play=${play} value=${policy} choose=${setPolicy} engine=${engine} />
       <span class="gap"></span>
       ${about.files ? html`<button onClick=${() => save()} title="Ctrl+S">save${editor.isUnsaved ? " •" : ""}</button>` : null}
       <button onClick=${() => downloadLevel(editor, "kinetix-dist")}>download</button>
@@ -160,7 +163,7 @@ function Workplace({ editor, opened, engine, about }) {
         ${panel === "gallery" ? html`<${Gallery} about=${about} engine=${engine} openDesigned=${(/** @type {any} */ entry) => open(async () => editor.open(await levelOf(entry)))} openFile=${(/** @type {string} */ name) => open(() => openFile(editor, name))}
           openText=${(/** @type {string} */ text) => open(() => openText(editor, text))} />` : null}
         ${panel === "help" ? html`<${Help} />` : null}
-        ${panel === "level" ? html`<${SelectionPanel} editor=${editor} /><${TeachPanel} editor=${editor} play=${play} /><${AttemptsPanel} given=${editor.given} subject=${editor.document} size=${editor.document.size} engine=${engine} /><${ThingsPanel} editor=${editor} facts=${facts} /><${LevelPanel} editor=${editor} /><${MakePanel} editor=${editor} />` : null}
+        ${panel === "level" ? html`<${SelectionPanel} editor=${editor} facts=${facts} /><${TeachPanel} editor=${editor} play=${play} /><${AttemptsPanel} given=${editor.given} subject=${editor.document} engine=${engine} player=${policy} /><${ThingsPanel} editor=${editor} facts=${facts} /><${LevelPanel} editor=${editor} /><${MakePanel} editor=${editor} />` : null}
       </aside>
     </div>
   </main>`;
@@ -179,6 +182,7 @@ async function begin(editor, about) {
     else if (from?.startsWith("runs/")) await openStored(editor, from);
     else if (about.opens) {
       if (about.opens.startsWith("file/")) await openNamed(editor, about.opens.slice(5));
+      else if (about.opens.startsWith("link/")) editor.open(await readLevel(await levelTextOf(about.opens.slice(5))));
       else await openDesigned(editor, about, about.opens.replace("designed/", ""));
       opened.isNamed = !from;
     } else opened.panel = "gallery";

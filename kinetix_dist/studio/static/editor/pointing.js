@@ -10,13 +10,13 @@ import { snapped, snapTargets } from "./snap.js";
  */
 
 export const CLICK_PX = 5; // less is no drag
-export const THING_PX = 8; // how near a pointer has to come to joints and thrusters, which lie on shapes that are to be hit too
+export const THING_PX = 8; // how near a pointer has to come to joints and thrusters, and to shapes that a tool joins or pushes
 
 /** Snapped point of the pointer. @param {Editor} editor @param {Pointer} pointer @param {ReadonlySet<string>} [but] @returns {Point} */
 export function aimed(editor, pointer, but) {
   editor.guides = [];
   if (!editor.snaps || pointer.free) return roundedPoint(pointer.at);
-  const { point, guides } = snapped(pointer.at, snapTargets(editor.settled, editor.walls, but), pointer.px);
+  const { point, guides } = snapped(pointer.at, snapTargets(editor.settled, editor.walls, pointer.at, but), pointer.px);
   editor.guides = guides;
   return roundedPoint(point);
 }

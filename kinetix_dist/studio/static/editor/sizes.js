@@ -1,4 +1,5 @@
 // What a level has of each kind of element, and what its size has slots for.
+import { count } from "../base/language.js";
 
 /**
  * @typedef {import("./document.js").Level} Level
@@ -42,14 +43,14 @@ export function lacking(sizes, document, part) {
   const [has, needs, most] = [countsOf(document), countsOf(part), sizes[document.size]];
   return over(sum(has, needs), most)
     .filter((kind) => needs[kind])
-    .map((kind) => `${needs[kind]} ${WORDS[kind][needs[kind] > 1 ? 1 : 0]} (size ${document.size} has room for ${Math.max(most[kind] - has[kind], 0)} more)`)
+    .map((kind) => `${count(needs[kind], ...WORDS[kind])} (size ${document.size} has room for ${Math.max(most[kind] - has[kind], 0)} more)`)
     .join(" and ");
 }
 
 /** Slots that are free, in words. @param {Record<string, any>} sizes @param {Level} document */
 export function freeWords(sizes, document) {
   const [has, most] = [countsOf(document), sizes[document.size]];
-  return most ? KINDS.map((kind) => `${Math.max(most[kind] - has[kind], 0)} ${WORDS[kind][1]}`).join(", ") : "";
+  return most ? KINDS.map((kind) => count(Math.max(most[kind] - has[kind], 0), ...WORDS[kind])).join(", ") : "";
 }
 
 /** True where a kind of element has no slot left. @param {Record<string, any>} sizes @param {Level} document */

@@ -155,15 +155,16 @@ export class Editor {
     return !known || known.hash === null || known.text !== documentText(this.document);
   }
 
-  /** @param {string} path of the validator: leads to the element that it is about */
-  show(path) {
-    const found = parsePath(path);
-    if (!found) return;
-    const element = found.part === "walls" ? `walls.${found.name}` : `${found.part}[${found.index}]`;
-    if (elementAt(this.document, element) !== undefined) {
-      this.tool = "select";
-      this.select([element]);
-    }
+  /** Selects what a problem or a warning is about. @param {readonly string[]} paths of elements, or of fields of them */
+  show(paths) {
+    const elements = paths.flatMap((path) => {
+      const found = parsePath(path);
+      if (!found) return [];
+      return [found.part === "walls" ? `walls.${found.name}` : `${found.part}[${found.index}]`];
+    });
+    if (!elements.some((path) => elementAt(this.document, path) !== undefined)) return;
+    this.use("select");
+    this.select(elements);
   }
 
   /** @param {number} factor below 1: nearer @param {Point} about this point stays where it is */

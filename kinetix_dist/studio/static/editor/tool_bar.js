@@ -1,12 +1,14 @@
-// The tool bar: what draws, roles of the selection, ready-made mechanisms, commands. On a phone two rows.
+// The tool bar: what draws, roles of the selection and the pin, ready-made mechanisms, commands. On a phone two rows.
 import { html } from "../base/html.js";
 import { COMMANDS } from "./commands.js";
 import { elementAt } from "./document.js";
+import { isFixed } from "./fields.js";
 import { Icon } from "./icons.js";
 import { addMechanism } from "./mechanisms.js";
 import { TOOLS } from "./tools.js";
 
 /** @typedef {import("./state.js").Editor} Editor */
+const PIN = COMMANDS.find((command) => command.icon === "pin");
 
 const LETTERS = { green: "G", blue: "B", red: "R", none: "–" };
 
@@ -24,17 +26,23 @@ export function ToolBar({ editor, isOff }) {
   </div>`;
 }
 
-/** Roles of the selected shapes and walls. @param {{ editor: Editor, isOff: boolean }} props */
+/** Roles of the selected shapes and walls, and whether they are fixed. @param {{ editor: Editor, isOff: boolean }} props */
 function Roles({ editor, isOff }) {
   const holders = editor.selection.filter((path) => /^(shapes|walls)/.test(path));
+  const shapes = holders.filter((path) => path.startsWith("shapes"));
   const roles = new Set(holders.map((path) => elementAt(editor.document, path)?.role ?? "none"));
   return html`<div class="group roles" role="group" aria-label="role of the selection">${COMMANDS.filter((command) => command.role).map((command) => html`<button key=${command.role} class="role ${command.role}"
     aria-label=${command.label} aria-pressed=${roles.size === 1 && roles.has(command.role)} title=${`${command.label} (${command.keys[0]}): ${roleHelp(command.role ?? "")}`}
-    disabled=${isOff || !holders.length} onClick=${() => command.run(editor, command.keys[0])}>${LETTERS[/** @type {keyof typeof LETTERS} */ (command.role)]}</button>`)}</div>`;
+    disabled=${isOff || !holders.length} onClick=${() => command.run(editor, command.keys[0])}>${LETTERS[/** @type {keyof typeof LETTERS} */ (command.role)]}</button>`)}
+    <${CommandButton} command=${PIN} isPressed=${shapes.length > 0 && shapes.every((path) => isFixed(elementAt(editor.document, path)))} isOff=${isOff || !shapes.length} editor=${editor} /></div>`;
 }
 
 /** @param {string} role */
 const roleHelp = (role) => ({ green: "it has to touch blue", blue: "the goal of green", red: "green must not touch it" })[role] ?? "of no meaning for the goal";
+
+/** isPressed: null where the button has no state. @param {{ command: import("./commands.js").Command, isPressed: boolean | null, isOff: boolean, editor: Editor }} props */
+const CommandButton = ({ command, isPressed, isOff, editor }) => html`<button aria-label=${command.label} title=${`${command.label} (${command.keys[0]})`}
+  aria-pressed=${isPressed} disabled=${isOff} onClick=${() => command.run(editor, command.keys[0])}><${Icon} name=${command.icon} /></button>`;
 
 /** @param {{ editor: Editor, isOff: boolean }} props */
 function Commands({ editor, isOff }) {
@@ -42,7 +50,7 @@ function Commands({ editor, isOff }) {
     editor.adds = !editor.adds;
     editor.changed();
   };
-  return html`<div class="group" role="group" aria-label="commands">${COMMANDS.filter((command) => command.icon).map((command) => html`<button key=${command.label} aria-label=${command.label} title=${`${command.label} (${command.keys[0]})`}
-      aria-pressed=${command.icon === "snap" ? editor.snaps : null} disabled=${isOff} onClick=${() => command.run(editor, command.keys[0])}><${Icon} name=${command.icon} /></button>`)}
+  return html`<div class="group" role="group" aria-label="commands">${COMMANDS.filter((command) => command.icon && command !== PIN).map((command) => html`<${CommandButton} key=${command.label} command=${command}
+      isPressed=${command.icon === "snap" ? editor.snaps : null} isOff=${isOff} editor=${editor} />`)}
     <button aria-pressed=${editor.adds} title="Add to the selection with each click (as shift)" aria-label="Add to the selection" disabled=${isOff} onClick=${add}><${Icon} name="add" /></button></div>`;
 }

@@ -2,7 +2,7 @@
 import { added, boundsOf, jointEnds, newId, parsePath, shapesOf, elementAt, thrusterPlace, toLocal } from "./document.js";
 import { moved, selectedShapes } from "./edits.js";
 import { distance, hull, rounded, roundedPoint, sub, wrapped } from "./geometry.js";
-import { dragged, handlesOf, isConvex, thingsAt } from "./handles.js";
+import { bodiesNear, dragged, handlesOf, isConvex, thingsAt } from "./handles.js";
 import { joining, landingOf } from "./joining.js";
 import { aimed, CLICK_PX, THING_PX } from "./pointing.js";
 import { snappedAngle } from "./snap.js";
@@ -186,7 +186,7 @@ function clicking(kind, count) {
 /** On a shape; a drag gives the direction of the push, a click pushes up. @type {Tool["down"]} */
 function beginThruster(editor, start) {
   const before = editor.settled;
-  const id = thingsAt(before, start.at, 0, editor.walls).find((path) => path.startsWith("shapes"));
+  const id = bodiesNear(before, start.at, THING_PX * start.px * start.thick, editor.walls).find(({ path }) => path.startsWith("shapes"))?.path;
   if (!id) {
     editor.notify("a thruster is put on a shape");
     return null;

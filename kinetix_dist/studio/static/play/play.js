@@ -13,7 +13,7 @@ const FLAGS = { done: 1, solved: 2, failed: 4, unstable: 8 };
 /** Label of a key. @param {string} key */
 export const keyMark = (key) => MARKS[/** @type {keyof typeof MARKS} */ (key)] ?? key.toUpperCase();
 
-/** @typedef {{ step: number, reward: number, total: number, value: number, distance: number, flags: number, poses: Float32Array,
+/** @typedef {{ step: number, reward: number, total: number, value: number, gap: number, flags: number, poses: Float32Array,
  *   motor: Float32Array, thruster: Float32Array, colours: Float32Array, outputs: Float32Array }} Frame */
 
 /** Outputs of the policy are the rest: a policy that takes over has a frame before it is announced.
@@ -25,11 +25,11 @@ export function decodeFrame(bytes, sizes) {
     start += 4 * count;
     return new Float32Array(bytes, start - 4 * count, count);
   };
-  const [reward, total, value, distance] = [12, 16, 20, 24].map((at) => view.getFloat32(at, true));
+  const [reward, total, value, gap] = [12, 16, 20, 24].map((at) => view.getFloat32(at, true));
   return {
     flags: view.getUint8(1),
     step: view.getUint32(4, true),
-    reward, total, value, distance,
+    reward, total, value, gap,
     poses: take(3 * sizes.shapes),
     motor: take(sizes.joints),
     thruster: take(sizes.thrusters),
@@ -65,6 +65,10 @@ export class Play {
     this.isOpening = false;
     this.opened = 0; // which opening is the newest: one that was closed, or followed by another, is closed when it comes
     this.isStored = false; // played from the arrays of a run's buffer
+    /** What is played, for another player. @type {{ level: any, options: { seed?: number, env?: any } } | null} */
+    this.given = null;
+    /** Who plays, as the engine worker calls it. @type {any} */
+    this.policy = null;
     /** @type {Set<string>} */
     this.pressed = new Set();
     this.sequence = 0;
@@ -80,6 +84,8 @@ export class Play {
     const own = ++this.opened;
     this.isOpening = true;
     this.isStored = "run" in level;
+    this.given = { level, options: { seed, env } };
+    this.policy = policy;
     this.last = 0;
     this.changed();
     try {
@@ -101,6 +107,11 @@ export class Play {
     if (own !== this.opened) return;
     this.isOpening = false;
     this.changed();
+  }
+
+  /** Plays the same level from its start, by another player. @param {any} policy */
+  async again(policy) {
+    if (this.given) await this.open(this.given.level, policy, this.given.options);
   }
 
   /** Ends what is played, and what was wrong with it is not shown any more. */
@@ -126,7 +137,10 @@ export class Play {
       const reply = await channel.request("play.control", { session: this.session.session, do: what, ...more });
       this.isRunning = reply.running;
       this.last = reply.last;
-      if (what === "take_over") this.session = { ...this.session, policy: reply.policy, sizes: reply.sizes };
+      if (what === "take_over") {
+        this.session = { ...this.session, policy: reply.policy, sizes: reply.sizes };
+        this.policy = more.policy;
+      }
       if (what === "take_over" || (what === "seek" && reply.step < reply.last)) this.outcome = "";
     } catch (error) {
       this.problem = error instanceof Error ? error.message : String(error);

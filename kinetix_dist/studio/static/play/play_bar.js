@@ -4,25 +4,52 @@ import { percent, short } from "../base/format.js";
 import { html } from "../base/html.js";
 import { boundColours, keyMark, MOTOR_KEYS, nameOfColour, NUM_MOTOR_COLOURS, SPEEDS, THRUSTER_KEYS } from "./play.js";
 
-/** Players: the key of a select, and the policy for the engine worker. @param {string} name @returns {any} */
+/** Policy for the engine worker, of the key of a select. @param {string} name @returns {any} */
 export function policyOf(name) {
   const [kind, ...rest] = name.split(":");
   return rest.length ? { [kind]: rest.join(":") } : kind;
 }
 
-/** @param {{ value: string, choose: (name: string) => void, engine: any, people?: boolean, label: string }} props */
+/** Key of a select, of a policy for the engine worker: "keys", "checkpoint:generalist"; "actions" whatever they are. @param {any} policy */
+function keyOfPolicy(policy) {
+  if (typeof policy === "string") return policy;
+  const [[kind, value]] = Object.entries(policy);
+  return kind === "actions" ? kind : `${kind}:${value}`;
+}
+
+/** @type {Record<string, string>} */
+const PLAYERS = { keys: "you, by keys", random: "random actions", noop: "no actions", actions: "the proof" };
+
+/** Who that is. @param {string} key of a select */
+export function playerWords(key) {
+  const [kind, ...rest] = key.split(":");
+  return PLAYERS[key] ?? `${kind === "run" ? "run " : ""}${rest.join(":")}`;
+}
+
+/** @param {{ value: string, choose: (name: string) => void, engine: any, people?: boolean, label: string }} props people: that keys are offered */
 export function PolicyChoice({ value, choose, engine, people = true, label }) {
   const runs = useRequest(() => get("runs"), []);
-  /** @type {[string, string][]} */
-  const options = [
-    ...(people ? [/** @type {[string, string]} */ (["keys", "you, by keys"])] : []),
-    ["random", "random actions"],
-    ["noop", "no actions"],
-    ...engine.pretrained.map((/** @type {string} */ name) => [`checkpoint:${name}`, name]),
-    ...(runs.data?.runs ?? []).map((/** @type {any} */ run) => [`run:${run.id}`, `run ${run.id}`]),
+  const offered = [
+    ...(people ? ["keys"] : []),
+    "random",
+    "noop",
+    ...engine.pretrained.map((/** @type {string} */ name) => `checkpoint:${name}`),
+    ...(runs.data?.runs ?? []).map((/** @type {any} */ run) => `run:${run.id}`),
   ];
-  return html`<select aria-label=${label} onChange=${(/** @type {any} */ e) => choose(e.target.value)}>
-    ${options.map(([name, text]) => html`<option key=${name} value=${name} selected=${name === value}>${text}</option>`)}</select>`;
+  const options = offered.includes(value) ? offered : [...offered, value];
+  return html`<select aria-label=${label} value=${value} onChange=${(/** @type {any} */ e) => choose(e.target.value)}>
+    ${options.map((key) => html`<option key=${key} value=${key}>${playerWords(key)}</option>`)}</select>`;
+}
+
+/** Who plays, or will: while a level is played another choice plays it anew. @param {{ play: import("./play.js").Play, value: string, choose: (name: string) => void, engine: any }} props */
+export function PlayerChoice({ play, value, choose, engine }) {
+  const chosen = (/** @type {string} */ name) => {
+    choose(name);
+    if (!play.isOpen) return;
+    if (document.activeElement instanceof HTMLElement) document.activeElement.blur(); // keys are for the level now
+    void play.again(policyOf(name));
+  };
+  return html`<${PolicyChoice} value=${play.isOpen ? keyOfPolicy(play.policy) : value} choose=${chosen} engine=${engine} label="who plays" />`;
 }
 
 /** @param {{ play: import("./play.js").Play, children?: any }} props */
@@ -43,7 +70,7 @@ export function PlayBar({ play, children }) {
       <button onClick=${() => play.control("take_over", { policy: "keys" })} title="play on from this step by keys">take over</button>
       ${children}
     </div>
-    <p class="play-state" role="status" data-outcome=${play.outcome}>step ${frame.step} of ${session.max_steps} · ${(frame.step * session.step_seconds).toFixed(1)} s · reward ${short(frame.reward)} · return ${frame.total.toFixed(3)} · green to blue ${frame.distance.toFixed(2)} m${play.outcome ? html` · <b>${play.outcome}</b>` : ""}${session.exact ? "" : " · simulated again"}${play.isStored ? " · from the stored arrays" : ""}</p>
+    <p class="play-state" role="status" data-outcome=${play.outcome}><b>${playerWords(keyOfPolicy(play.policy))}</b> · step ${frame.step} of ${session.max_steps} · ${(frame.step * session.step_seconds).toFixed(1)} s · reward ${short(frame.reward)} · return ${frame.total.toFixed(3)} · <span title="from edge to edge; touching in any physics step solves the level">${play.isSolved ? "green touched blue" : `green is ${gapText(frame.gap)} from blue`}</span>${play.outcome ? html` · <b>${play.outcome}</b>` : ""}${session.exact ? "" : " · simulated again"}${play.isStored ? " · from the stored arrays" : ""}</p>
     ${play.problem ? html`<p class="bad" role="alert">${play.problem}</p>` : null}
     ${isPerson ? html`<${Pads} play=${play} />` : html`<${Mind} play=${play} />`}
   </div>`;
@@ -70,8 +97,8 @@ function Pads({ play }) {
 function Mind({ play }) {
   const { session, frame } = play;
   const heads = session?.policy.heads;
-  if (!session || !frame || !heads) return html`<p class="soft">${["checkpoint", "actions"].includes(session?.policy.kind ?? "") ? "" : `${session?.policy.kind} actions`}</p>`;
-  if (frame.outputs.length !== heads.controls.length) return html`<div class="mind"><p class="soft">this step was not played by ${nameOfPolicy(session)}</p></div>`;
+  if (!session || !frame || !heads) return null;
+  if (frame.outputs.length !== heads.controls.length) return html`<div class="mind"><p class="soft">this step was not played by ${playerWords(keyOfPolicy(play.policy))}</p></div>`;
   const isChoice = heads.kind === "probabilities";
   const bound = boundColours(session);
   const groups = [...bound, ...(heads.controls.some((/** @type {any} */ [colour]) => colour === null) ? [null] : [])].map((colour) => ({
@@ -80,7 +107,7 @@ function Mind({ play }) {
       .map((/** @type {[number | null, number | null]} */ [own, value], /** @type {number} */ k) => ({ own, value, number: frame.outputs[k] }))
       .filter((/** @type {any} */ part) => part.own === colour),
   }));
-  return html`<div class="mind" data-value=${frame.value}><p>value <b>${frame.value.toFixed(3)}</b> <span class="soft">of ${nameOfPolicy(session)}${play.isAtEnd ? ", of the step before the end" : ""}, ${isChoice ? "probability of each choice" : "mean and spread"}:</span></p>
+  return html`<div class="mind" data-value=${frame.value}><p>value <b>${frame.value.toFixed(3)}</b> <span class="soft">of ${playerWords(keyOfPolicy(play.policy))}${play.isAtEnd ? ", of the step before the end" : ""}, ${isChoice ? "probability of each choice" : "mean and spread"}:</span></p>
     ${bound.length ? null : html`<p class="soft">the policy drives nothing here</p>`}
     <div class="heads">${groups.map(({ name, parts }) => html`<div key=${name}><span class="soft">${name}</span>
       ${isChoice
@@ -88,8 +115,8 @@ function Mind({ play }) {
         : html`<span class="chance">${parts.map((/** @type {any} */ part) => part.number.toFixed(2)).join(" ± ")}</span>`}</div>`)}</div></div>`;
 }
 
-/** @param {any} session */
-const nameOfPolicy = (session) => session.policy.path?.split("/").pop() ?? "the policy";
+/** @param {number} metres */
+const gapText = (metres) => (metres < 0.01 ? `${(1000 * metres).toFixed(1)} mm` : `${metres.toFixed(2)} m`);
 
 /** @param {number | null} colour @param {number} value the value that the choice sets */
 function nameOfChoice(colour, value) {

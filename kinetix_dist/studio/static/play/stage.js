@@ -4,7 +4,7 @@ import { useListeners } from "../base/listeners.js";
 import { drawWorld, VIEW } from "../world/canvas.js";
 import { drawPlay } from "./picture.js";
 import { Play, playKey } from "./play.js";
-import { PlayBar, PolicyChoice, policyOf } from "./play_bar.js";
+import { PlayBar, PlayerChoice, policyOf } from "./play_bar.js";
 
 /**
  * `given`: the level as the engine worker calls it; `run`: whose newest checkpoint is proposed, and whose environment is
@@ -45,7 +45,7 @@ export function PlayStage({ given, run, engine, still, size, label }) {
     <canvas class="world" ref=${canvas} tabindex="0" role="img" aria-label=${label} style=${{ width: `min(${size}px, 100%)`, aspectRatio: "1" }}
       onKeyDown=${press} onKeyUp=${(/** @type {KeyboardEvent} */ event) => void play.press(event.key, false)} onBlur=${() => play.release()}></canvas>
     <div class="row small"><button class="primary" onClick=${start} title="space">${play.isOpen ? "■ stop" : "▶ play"}</button>
-      <${PolicyChoice} value=${policy} choose=${setPolicy} engine=${engine} label="who plays" /></div>
+      <${PlayerChoice} play=${play} value=${policy} choose=${setPolicy} engine=${engine} /></div>
     ${play.isOpen || play.problem ? html`<${PlayBar} play=${play} />` : null}
   </div>`;
 }
