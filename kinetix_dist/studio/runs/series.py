@@ -47,6 +47,11 @@ class SeriesTable:
             return np.full(self.num_rows, np.nan)
         return self._columns[name][: self.num_rows]
 
+    def known(self, name: str) -> np.ndarray:
+        """Values [n] of the rows that have it."""
+        column = self.column(name)
+        return column[~np.isnan(column)]
+
     def append(self, rows: Iterable[Mapping[str, Any]]) -> int:
         """Adds rows, each with an int `update`; returns from which row on the table is new.
 
