@@ -271,7 +271,7 @@ def main() -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    with tempfile.TemporaryDirectory() as folder, launched(arguments.browser) as browser:
+    with tempfile.TemporaryDirectory() as folder, launched(arguments.browser, has_webgl=False) as browser:
         runs = Path(folder) / "runs"
         for k in range(NUM_RUNS):
             write_judged(write_run(runs / f"run_{k}", NUM_UPDATES), NUM_UPDATES)
