@@ -184,4 +184,7 @@ def select(x: np.ndarray, start: float | None, end: float | None) -> slice:
 
 def to_json(values: np.ndarray) -> list[float | None]:
     """Values as JSON, which has no nan: None."""
-    return [value if np.isfinite(value) else None for value in values.tolist()]
+    found, is_finite = values.tolist(), np.isfinite(values)
+    if is_finite.all():
+        return found
+    return [value if is_known else None for value, is_known in zip(found, is_finite.tolist(), strict=True)]
