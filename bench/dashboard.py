@@ -6,10 +6,10 @@ Runs are written by training's own sink: 50 of 2,000 updates, one of 200,000. Th
 evaluations of `sfl_s`. `page` is from the request to a drawn chart, `verdict` to the heading of a run that was not read
 before, `cold_NAME` to the last panel of a page of such a run; `cpu` is the CPU time of the server and of all processes
 of the browser for it, whatever else the machine does. `words` is until the table of runs has a verdict on each of the
-50, `runs_page_while_judged` the slowest table meanwhile. `row` from a row on disk to its number on the page, `cpu_share` that of one core over 20 s with one run that
-gets a row a second and a page that watches it. `scrolling` is of the evaluation page
-with 256 levels x 100 evaluations, two rows further with each frame: frames per second, and the share of frames that
-showed a row that was not there.
+50, `runs_page_while_judged` the slowest table meanwhile. `row` from a row on disk to its number on the page,
+`cpu_share` that of one core over 20 s with one run that gets a row a second and a page that watches it. `scrolling` is
+of the evaluation page with 256 levels x 100 evaluations, two rows further with each frame: frames per second, and the
+share of frames that showed a row that was not there.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -178,7 +179,7 @@ def _measure(browser: Any, address: str, server: psutil.Process) -> dict[str, An
         runs = range(REPEATS * number, REPEATS * (number + 1))
         before = _cpu_seconds(server)
         views = [f"#/run/run_{k}/{name}" for k in runs]
-        result[f"cold_{name}_seconds"] = [seconds_to(view, lambda: page.wait_for_selector(last)) for view in views]
+        result[f"cold_{name}_seconds"] = [seconds_to(view, partial(page.wait_for_selector, last)) for view in views]
         page.wait_for_load_state("networkidle")
         result[f"cold_{name}_cpu_seconds"] = (_cpu_seconds(server) - before) / REPEATS
     result["long_run_seconds"] = seconds_to("#/run/long/overview", lambda: page.wait_for_function(DRAWN))

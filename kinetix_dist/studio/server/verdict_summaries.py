@@ -1,6 +1,6 @@
 """Verdicts for the table of runs: worked out one run after another, while somebody looks at the table.
 
-    table of runs --of(rows)--> what is known; a task judges runs that are not known, or whose files have changed
+    table of runs --of(rows)--> what is known; runs that are not, or whose files changed --> Judge, a process
 
 The table never waits for a verdict. A run that goes on is judged again after SECONDS, or a multiple of what the last
 verdict took, so that long runs cost no more.
@@ -11,23 +11,22 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
-import logging
+import json
+import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.child_python import command_of
 from kinetix_dist.studio.runs import run_files
-from kinetix_dist.studio.runs.processes import Processes
-from kinetix_dist.studio.runs.refreshes import Refreshes
-from kinetix_dist.studio.runs.run_reader import RunReader
 from kinetix_dist.studio.runs.statements import UNKNOWN
-from kinetix_dist.studio.runs.verdict import verdict_of
 
-LOG = logging.getLogger(__name__)
 SECONDS = 60.0  # between verdicts on a run that goes on
 COST = 50  # or so many times what the last one took: 2 % of a core
+NICE = 10  # of the process, as the engine worker
 FILES = (run_files.METRICS, run_files.EVALUATION_LINES, run_files.OUTCOMES, run_files.STATUS, run_files.CURRICULUM)
+PROCESS = "kinetix_dist.studio.runs.verdict_process"
 
 Summary = Mapping[str, Any]  # of `Verdict.summary`
 NO_VERDICT = {
@@ -38,11 +37,34 @@ NO_VERDICT = {
 }
 
 
-def summary_of(path: Path) -> Summary:
-    """Summary of the verdict on a run, whose files are read for it alone."""
-    reader = RunReader(path)
-    reader.read_first(lambda bytes_left: None)
-    return verdict_of(reader, Refreshes(path), Processes(path)).summary()
+class Judge:
+    """Process that works out verdicts, started with the first one. It ends with the server."""
+
+    def __init__(self, module: str = PROCESS) -> None:
+        self._module = module
+        self._process: asyncio.subprocess.Process | None = None
+
+    async def summary(self, path: Path) -> Summary:
+        """Summary of a run's verdict; NO_VERDICT where the process ended over it: the next run gets another."""
+        if self._process is None:
+            pipe = asyncio.subprocess.PIPE
+            command = command_of("kinetix_dist.parent_death", os.getpid(), NICE, *command_of(self._module))
+            self._process = await asyncio.create_subprocess_exec(*command, stdin=pipe, stdout=pipe)
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.write(json.dumps(str(path)).encode() + b"\n")
+        line = await self._process.stdout.readline()
+        if not line:
+            await self.end()
+            return NO_VERDICT
+        return json.loads(line)
+
+    async def end(self) -> None:
+        """Ends the process, if there is one."""
+        process, self._process = self._process, None
+        if process is not None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,10 +75,10 @@ class _Judged:
 
 
 class VerdictSummaries:
-    """Verdicts by run directory. `of` is called in the event loop."""
+    """Verdicts by run directory. All methods are called in the event loop."""
 
-    def __init__(self, judge: Callable[[Path], Summary] = summary_of) -> None:
-        self._judge = judge
+    def __init__(self, judge: Judge | None = None) -> None:
+        self._judge = judge if judge is not None else Judge()
         self._judged: dict[Path, _Judged] = {}
         self._waiting: dict[Path, tuple[Any, ...]] = {}
         self._current: Path | None = None  # that is being judged
@@ -83,18 +105,17 @@ class VerdictSummaries:
                 await self._task
 
     async def _work(self) -> None:
-        while self._waiting:
-            path = self._current = next(iter(self._waiting))
-            stamp = self._waiting.pop(path)
-            started = time.monotonic()
-            try:
-                summary = await asyncio.to_thread(self._judge, path)
-            except Exception:
-                LOG.exception("no verdict on %s", path)
-                summary = NO_VERDICT
-            ended = time.monotonic()
-            self._current = None
-            self._judged[path] = _Judged(stamp, summary, ended + max(SECONDS, COST * (ended - started)))
+        try:
+            while self._waiting:
+                path = self._current = next(iter(self._waiting))
+                stamp = self._waiting.pop(path)
+                started = time.monotonic()
+                summary = await self._judge.summary(path)
+                ended = time.monotonic()
+                self._current = None
+                self._judged[path] = _Judged(stamp, summary, ended + max(SECONDS, COST * (ended - started)))
+        finally:
+            await self._judge.end()
 
 
 def _stamp(row: Mapping[str, Any]) -> tuple[Any, ...]:
