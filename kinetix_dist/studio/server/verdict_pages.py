@@ -9,6 +9,9 @@ The second one waits for the engine worker where it has not built the sets of th
 from __future__ import annotations
 
 import asyncio
+import dataclasses
+import math
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -25,6 +28,18 @@ from kinetix_dist.studio.server.responses import BadRequestError, json_response
 from kinetix_dist.studio.server.run_service import RunService
 from kinetix_dist.studio.server.worker_client import WorkerError
 
+ASK_AGAIN_S = 300.0  # for a set that could not be built: a page of a run that goes on asks every 15 s
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """Answer of the engine worker about a set."""
+
+    levels: Sequence[str]  # their names, when it was asked
+    features: Features | None = None
+    problem: str = ""
+    until: float = math.inf  # monotonic s
+
 
 class VerdictPages:
     """Handlers of `api/runs/{run}/verdict...`."""
@@ -35,7 +50,7 @@ class VerdictPages:
         self._curricula = curricula
         self._evaluated = evaluated
         self._processes: dict[Path, Processes] = {}
-        self._features: dict[tuple[Path, str], tuple[Sequence[str], Features]] = {}  # by run and set, with its levels
+        self._features: dict[tuple[Path, str], _Asked] = {}  # by run and set
 
     def routes(self) -> list[web.RouteDef]:
         return [
@@ -63,16 +78,23 @@ class VerdictPages:
         self, path: Path, histories: Sequence[SetHistory]
     ) -> tuple[Mapping[str, Features], Mapping[str, str]]:
         """Features of the sets, and why those of others are not known. A set is built once per server and run."""
-        features, problems = {}, {}
+        features: dict[str, Features] = {}
+        problems: dict[str, str] = {}
         for one in sets_with_counts(histories):
             assert one.levels is not None
             key = (path, one.name)
-            if key not in self._features or self._features[key][0] != one.levels:
-                try:
-                    built = await self._evaluated.built_set(path, one.name, one.levels)
-                except (WorkerError, BadRequestError) as error:
-                    problems[one.name] = str(error)
-                    continue
-                self._features[key] = (one.levels, built["features"])
-            features[one.name] = self._features[key][1]
+            known = self._features.get(key)
+            if known is None or known.levels != one.levels or known.until < time.monotonic():
+                known = self._features[key] = await self._ask(path, one.name, one.levels)
+            if known.features is None:
+                problems[one.name] = known.problem
+            else:
+                features[one.name] = known.features
         return features, problems
+
+    async def _ask(self, path: Path, name: str, levels: Sequence[str]) -> _Asked:
+        try:
+            built = await self._evaluated.built_set(path, name, levels)
+        except (WorkerError, BadRequestError) as error:
+            return _Asked(levels=levels, problem=str(error), until=time.monotonic() + ASK_AGAIN_S)
+        return _Asked(levels=levels, features=built["features"])
