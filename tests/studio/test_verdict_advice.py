@@ -150,6 +150,13 @@ def test_a_policy_that_hardly_varies_gets_more_entropy(tmp_path: Path) -> None:
     write_rows(run, 41, 60, **{"learner/entropy": 0.001})
     found = verdict(run)
     assert found.outcome == "collapsed" and changed_by(run, found).keys() == {"ppo.entropy_coefficient"}
+    write_rows(run, 61, 62, **{"learner/entropy": 0.001, "learner/approx_kl": 0.7})
+    found = verdict(run)
+    assert "an update moved the policy by 0.7 nat" in found.next_step.sentence
+    rate = json.loads((run / "config.json").read_text())["config"]["ppo"]["learning_rate"]
+    assert changed_by(run, found) == {"ppo.learning_rate": rate / 2}, "entropy fell by that"
+    write_rows(run, 63, 64, **{"learner/entropy": 0.001, "learner/approx_kl": 70.0})
+    assert changed_by(run, verdict(run)) == {"ppo.learning_rate": rate / 10}
 
 
 def test_a_loss_without_a_gain_gets_smaller_updates_or_nearer_levels(tmp_path: Path) -> None:

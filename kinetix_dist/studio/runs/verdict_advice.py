@@ -34,6 +34,8 @@ FELL_SILENT, HAS_FAILED, COLLAPSED, WORSE, FLAWED = "silent", "failed", "collaps
 UNCLEAR, EARLY, PARTLY, WORKS = "unclear", "early", "partly", "works"
 OUTCOMES = (HAS_FAILED, FELL_SILENT, COLLAPSED, WORSE, FLAWED, UNCLEAR, EARLY, PARTLY, WORKS)
 
+LARGE_KL = 0.1  # nat, of any row: an update went too far
+FAR_KL = 1.0  # nat, of any row: it went so far that half of the rate would not do
 SMALL_KL = 0.005  # nat, mean of the last rows: updates hardly move the policy
 LARGE_UPDATES = ("learner/approx_kl", "learner/clip_fraction")  # metrics whose warnings say so
 FALLEN = 0.8  # of the learnability of an earlier buffer, below which more candidates are suggested
@@ -150,9 +152,16 @@ def _after_a_collapse(evidence: Evidence) -> NextStep:
     begin = "begin a new run" if checkpoint is None else f"begin a new run from the checkpoint of update {int(checkpoint.name):,}"
     if stability.causes:
         return NextStep(sentence=f"{begin}, without what changed as it fell: {stability.causes[0]}", **link)
-    option, factor = ("ppo.entropy_coefficient", 2.0) if stability.is_entropy_alone else ("ppo.learning_rate", 0.5)
+    largest = evidence.table.known("learner/approx_kl").max(initial=0.0)
+    if largest > LARGE_KL:  # entropy that falls at once falls by these
+        option, factor = "ppo.learning_rate", 0.5 if largest < FAR_KL else 0.1
+        why = f"an update moved the policy by {largest:.2g} nat (learner/approx_kl)"
+    elif stability.is_entropy_alone:
+        option, factor, why = "ppo.entropy_coefficient", 2.0, stability.signs[-1]
+    else:
+        option, factor, why = "ppo.learning_rate", 0.5, stability.signs[-1]
     return NextStep(
-        sentence=f"{begin} with {evidence.scaled(option, factor)}: {stability.signs[-1]}",
+        sentence=f"{begin} with {evidence.scaled(option, factor)}: {why}",
         command=evidence.new_run(option, factor, checkpoint=checkpoint),
         **link,
     )
