@@ -2,12 +2,14 @@
 
     python bench/dashboard.py [--browser .cache/browser/chromium] [--json FILE]
 
-Runs are written by training's own sink: 20 of 2,000 updates, one of 200,000. The 20 have the refreshes, counts and
+Runs are written by training's own sink: 50 of 2,000 updates, one of 200,000. The 50 have the refreshes, counts and
 evaluations of `sfl_s`. `page` is from the request to a drawn chart, `verdict` to the heading of a run that was not read
-before, `row` from a row on disk to its number on the page, `cpu_share` that of one core over 20 s with one run that
-gets a row a second and a page that watches it. `scrolling` is of the evaluation page
-with 256 levels x 100 evaluations, two rows further with each frame: frames per second, and the share of frames that
-showed a row that was not there.
+before, `cold_NAME` to the last panel of a page of such a run; `cpu` is the CPU time of the server and of all processes
+of the browser for it, whatever else the machine does. `words` is until the table of runs has a verdict on each of the
+50, `runs_page_while_judged` the slowest table meanwhile. `row` from a row on disk to its number on the page,
+`cpu_share` that of one core over 20 s with one run that gets a row a second and a page that watches it. `scrolling` is
+of the evaluation page with 256 levels x 100 evaluations, two rows further with each frame: frames per second, and the
+share of frames that showed a row that was not there.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +42,18 @@ from kinetix_dist.telemetry.json_lines import append_line
 from kinetix_dist.telemetry.names import METRICS
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
 
-NUM_RUNS, NUM_UPDATES, NUM_LONG = 20, 2000, 200_000
+NUM_RUNS, NUM_UPDATES, NUM_LONG = 50, 2000, 200_000
 REPEATS = 5
 LIVE_SECONDS = 20
 STEPS = 10_000  # of an update: 1.01 M, 1.02 M, ... from the 101st on, which the page distinguishes
 FIRST_LIVE = 100  # updates of the live run before it is watched
 NAMES = [name for name in METRICS if "<" not in name and not name.startswith("progress/")][:44]  # rows of 1.2 kB
 VERDICT = ".verdict[data-state]"
+COLD_PAGES = {
+    "overview": ".verdict[data-state] ~ .section .chart canvas",
+    "curriculum": "[data-panel^='Solve rate by number of shapes'] canvas",
+    "evaluation": ".matrix canvas",
+}  # by the last part of each that is drawn
 NUM_CANDIDATES, NUM_CHOSEN, REFRESH_EVERY, OUTCOMES_EVERY = 12_288, 1024, 128, 16
 NUM_LEVELS, NUM_EVALUATIONS, ATTEMPTS = 256, 100, 16
 SCROLL_SECONDS = 8
@@ -162,15 +170,47 @@ def _measure(browser: Any, address: str, server: psutil.Process) -> dict[str, An
         return time.monotonic() - start
 
     result: dict[str, Any] = {}
-    list_seconds = [seconds_to("#/runs", lambda: page.wait_for_selector("table.runs")) for _ in range(REPEATS)]
-    result["runs_page_seconds"] = list_seconds
+    result |= _measure_table(page, seconds_to)
     overview = [seconds_to(f"#/run/run_{k}/overview", lambda: page.wait_for_function(DRAWN)) for k in range(REPEATS)]
     result["overview_page_seconds"] = overview
     judged = [f"#/run/run_{REPEATS + k}/overview" for k in range(REPEATS)]  # none of them was read before
     result["verdict_seconds"] = [seconds_to(view, lambda: page.wait_for_selector(VERDICT)) for view in judged]
+    for number, (name, last) in enumerate(COLD_PAGES.items(), 2):
+        runs = range(REPEATS * number, REPEATS * (number + 1))
+        before = _cpu_seconds(server)
+        views = [f"#/run/run_{k}/{name}" for k in runs]
+        result[f"cold_{name}_seconds"] = [seconds_to(view, partial(page.wait_for_selector, last)) for view in views]
+        page.wait_for_load_state("networkidle")
+        result[f"cold_{name}_cpu_seconds"] = (_cpu_seconds(server) - before) / REPEATS
     result["long_run_seconds"] = seconds_to("#/run/long/overview", lambda: page.wait_for_function(DRAWN))
     result["server_mib_after_long_run"] = server.memory_info().rss / 2**20
     return result
+
+
+def _measure_table(page: Any, seconds_to: Callable[[str, Any], float]) -> dict[str, Any]:
+    """Table of runs: while verdicts are worked out, until there are all, and then."""
+
+    def seconds() -> float:
+        return seconds_to("#/runs", lambda: page.wait_for_selector("table.runs"))
+
+    start, judged = time.monotonic(), 0
+    meanwhile: list[float] = []
+    while judged < NUM_RUNS:
+        meanwhile.append(seconds())
+        judged = page.locator("a.word").count()
+        time.sleep(0.5)
+    words = time.monotonic() - start
+    return {
+        "runs_page_while_judged": max(meanwhile),
+        "words_seconds": words,
+        "runs_page_seconds": [seconds() for _ in range(REPEATS)],
+    }
+
+
+def _cpu_seconds(server: psutil.Process) -> float:
+    """CPU time of a server and of the browser, which this process has started."""
+    processes = [server, *(one for one in psutil.Process().children(recursive=True) if "chromium" in one.name())]
+    return sum(times.user + times.system for times in (process.cpu_times() for process in processes))
 
 
 def measure_live(browser: Any, run: Path) -> dict[str, Any]:
@@ -271,7 +311,7 @@ def main() -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    with tempfile.TemporaryDirectory() as folder, launched(arguments.browser) as browser:
+    with tempfile.TemporaryDirectory() as folder, launched(arguments.browser, has_webgl=False) as browser:
         runs = Path(folder) / "runs"
         for k in range(NUM_RUNS):
             write_judged(write_run(runs / f"run_{k}", NUM_UPDATES), NUM_UPDATES)

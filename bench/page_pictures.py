@@ -37,6 +37,13 @@ def _nothing(page: Any) -> None:
     pass
 
 
+def _wait_for_words(page: Any) -> None:
+    """The table of runs has a verdict on each."""
+    page.wait_for_function(
+        "() => document.querySelectorAll('a.word').length === document.querySelectorAll('.runs tbody tr').length"
+    )
+
+
 def _play_first_level(page: Any) -> None:
     page.locator(".thumbnail").first.click()
     page.locator(".drawer").get_by_role("button", name="play", exact=False).first.click()
@@ -63,7 +70,7 @@ def _select_problem(page: Any) -> None:
 
 # Name of a picture: address behind the server's, and what is done on the page before.
 DASHBOARD: Mapping[str, tuple[str, Act]] = {
-    "runs": ("#/runs", _nothing),
+    "runs": ("#/runs", _wait_for_words),
     "overview": ("#/run/{run}/overview", _nothing),
     "curriculum": ("#/run/{run}/curriculum", _nothing),
     "levels": ("#/run/{run}/levels", _nothing),

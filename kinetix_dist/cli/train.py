@@ -1,11 +1,12 @@
 """`kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--from CKPT] [--section.field value ...]`: pretrain a
 policy.
 
-Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. Every
-field of the configuration is an option; `--help` lists everyday ones with the values of the recipe, `--help SECTION`
-those of a section. `--env.preset NAME` replaces all solver settings (env.physics) by those of a preset,
-`--curriculum.generator NAME` all parameters of random levels, before single fields are overridden. `--phases FILE`
-replaces the phases of the recipe after that, and `--from CKPT` is short for --run.start_from.
+Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. --recipe
+takes the directory of a run, too: a new run begins with the configuration of that one. Every field of the configuration
+is an option; `--help` lists everyday ones with the values of the recipe, `--help SECTION` those of a section.
+`--env.preset NAME` replaces all solver settings (env.physics) by those of a preset, `--curriculum.generator NAME` all
+parameters of random levels, before single fields are overridden. `--phases FILE` replaces the phases of the recipe
+after that, and `--from CKPT` is short for --run.start_from.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from kinetix_dist.runtime import RunDirectory, StopSignals
 
 RUNS = Path("runs")
+CONFIG = "config.json"  # of a run
 DEFAULT_RECIPE = "quickstart"
 
 
@@ -72,7 +74,7 @@ def parse(
     from kinetix_dist.config import with_phases
     from kinetix_dist.config.phases import read_phases
     from kinetix_dist.level.generator_config import GENERATORS, generator
-    from kinetix_dist.recipes import RECIPES, recipe
+    from kinetix_dist.recipes import RECIPES
     from kinetix_dist.registry import import_plugins
 
     if wants_help(overrides):
@@ -80,7 +82,10 @@ def parse(
         usage = "\n".join(
             (
                 f"usage: {prog} [--recipe NAME] [--run DIR] [--resume] [--from CKPT] [--section.field value ...]\n",
-                *_listed("--recipe NAME", f"{', '.join(RECIPES)} (default {default_recipe})"),
+                *_listed(
+                    "--recipe NAME",
+                    f"{', '.join(RECIPES)} (default {default_recipe}); or the directory of a run: its settings",
+                ),
                 "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)",
                 "  --resume        go on with the run in --run, or with the newest run of the recipe",
                 "  --from CKPT     start from the parameters of a checkpoint, or of a pretrained policy by name",
@@ -92,8 +97,7 @@ def parse(
                 f"\noptions and their values in recipe {recipe_name!r}:\n",
             )
         )
-        with user_errors(ValueError):
-            shown = recipe(recipe_name)
+        shown = _recipe_or_run(recipe_name)
         if HELP_ALL not in overrides:
             text = options_help(overrides, shown, prog)
             print(f"{usage}\n{text}")
@@ -105,8 +109,7 @@ def parse(
         raise UserError("--run is empty or the current directory; name a directory of the run's own, or leave it out")
     if known.resume and known.start_from is not None:
         raise UserError("--from is for a new run, and a run that is resumed goes on from its own checkpoints; give one")
-    with user_errors(ValueError):
-        base = recipe(known.recipe or default_recipe)
+    base = _recipe_or_run(known.recipe or default_recipe)
     if known.resume:
         run, stored = _run_to_resume(run, base.run.name)
         base = stored if known.recipe is None else base
@@ -276,23 +279,39 @@ def _override(base: TrainConfig, overrides: list[str], prog: str) -> TrainConfig
         return parse_args(tyro.conf.FlagConversionOff[TrainConfig], overrides, prog=prog, default=base)
 
 
+def _recipe_or_run(name: str) -> TrainConfig:
+    """Configuration of a recipe, or that of a run whose directory is named."""
+    from kinetix_dist.recipes import RECIPES, recipe
+
+    path = Path(name) / CONFIG
+    if name not in RECIPES and path.is_file():
+        return _stored_config(path)
+    with user_errors(ValueError):
+        return recipe(name)
+
+
 def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
-    from kinetix_dist.config import from_dict
     from kinetix_dist.runtime import newest_run, no_run_in
 
     if run is None:
         run = newest_run(RUNS, name)
         if run is None:
             raise UserError(f"there is no run {RUNS / name} to resume; name one with --run, or leave out --resume")
-    path = run / "config.json"
+    path = run / CONFIG
     if not path.is_file():
         raise UserError(no_run_in(run))
+    return run, _stored_config(path)
+
+
+def _stored_config(path: Path) -> TrainConfig:
+    from kinetix_dist.config import from_dict
+
     with user_errors(ValueError, prefix=f"{path}: "):
         try:
             content = read_json(path)
             if not isinstance(content, dict):
                 raise TypeError(f"it holds a {type(content).__name__} and no configuration")
-            return run, from_dict(content["config"])
+            return from_dict(content["config"])
         except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(
                 f"it is damaged ({type(error).__name__}: {one_line(error)}); the checkpoint.json of each checkpoint "

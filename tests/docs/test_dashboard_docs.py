@@ -17,7 +17,8 @@ TEXT = (REPOSITORY / "docs" / "dashboard.md").read_text()
 
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.metric)
 def test_every_rule_is_documented_and_is_about_a_metric(rule: Rule) -> None:
-    assert f"| `{rule.metric}` | {rule.condition} |" in TEXT
+    part = rule.part.capitalize() or "its own"
+    assert f"| `{rule.metric}` | {rule.condition} | {part} |" in TEXT
     assert rule.metric in METRICS
 
 

@@ -49,6 +49,16 @@ def test_an_unknown_recipe(capsys):
     assert "unknown recipe 'quickstrat'; did you mean 'quickstart'?" in _refusal(capsys, "--recipe", "quickstrat")
 
 
+def test_a_new_run_begins_with_the_configuration_of_another(capsys, tmp_path):
+    tiny = recipe("tiny")
+    path = _a_run(tmp_path / "a", dataclasses.replace(tiny, ppo=dataclasses.replace(tiny.ppo, clip=0.1))).path
+    parsed = parse(["--recipe", str(path), "--ppo.epochs", "3"])
+    assert not parsed.resume and parsed.run is None
+    assert parsed.config == dataclasses.replace(tiny, ppo=dataclasses.replace(tiny.ppo, clip=0.1, epochs=3))
+    (path / "config.json").write_text("{")
+    assert "config.json: it is damaged" in _refusal(capsys, "--recipe", path)
+
+
 def test_an_unknown_field(capsys):
     line = _refusal(capsys, "--recipe", "tiny", "--ppo.speed", "3")
     assert "--ppo.speed" in line

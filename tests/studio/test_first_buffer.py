@@ -12,6 +12,7 @@ from kinetix_dist.studio.runs.first_buffer import (
     WITHOUT_BUFFER,
     first_buffer,
     first_outcomes,
+    next_probe,
 )
 
 
@@ -91,3 +92,18 @@ def test_the_first_counts() -> None:
     assert "but the run is at update 17" in first_outcomes(config_of("sfl"), 17)
     assert first_outcomes(config_of("sfl", curriculum_log={"outcomes_every": 0}), 2).startswith("None will come")
     assert "not known" in first_outcomes({}, None)
+
+
+@pytest.mark.parametrize(
+    ("log", "refreshes", "is_over", "text"),
+    [
+        ({"probe_levels": 64, "probe_every": 1}, [0, 128], False, "Not known yet: refresh 256 plays buffer 128 again"),
+        ({"probe_levels": 64, "probe_every": 1}, [0, 128], True, "Not known: the run ended before the refresh"),
+        ({"probe_levels": 64, "probe_every": 2}, [0], False, "Not measured: only every 2. refresh plays levels again"),
+        ({"probe_levels": 64, "probe_every": 2}, [0, 128], False, "Not known yet: refresh 256"),
+        ({"probe_levels": 0, "probe_every": 1}, [0], False, "Not measured: curriculum_log.probe_levels is 0"),
+    ],
+)
+def test_when_it_is_known_what_was_learned(log: dict[str, int], refreshes: list[int], is_over: bool, text: str) -> None:
+    assert next_probe(config_of("sfl", curriculum_log=log), refreshes, is_over=is_over).startswith(text)
+    assert "not known whether" in next_probe({}, refreshes, is_over=is_over)

@@ -7,6 +7,7 @@ import gzip
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -58,10 +59,10 @@ def test_curves_have_few_points_and_keep_their_extremes(server: Server) -> None:
     assert zoomed["series"]["train/solve_rate"]["mean"] == [solve_rate(u) for u in range(99, 122)]
 
 
-def test_a_run_is_described_with_units_and_warnings(server: Server) -> None:
+def test_a_run_is_described_with_units(server: Server) -> None:
     found = server.json("/api/runs/a")
     assert found["metrics"]["progress/env_steps"]["unit"] == "env steps"
-    assert found["config"]["config"]["env"]["size"] == "s" and found["report"] is None and found["warnings"] == []
+    assert found["config"]["config"]["env"]["size"] == "s" and found["report"] is None
 
 
 def test_runs_are_compared_by_a_field(server: Server) -> None:
@@ -105,6 +106,21 @@ def test_files_are_compressed_and_asked_for_once(server: Server) -> None:
     assert server.request("/static/app.js", headers={"If-None-Match": headers["ETag"]})[0] == 304
     _, headers, _ = server.request("/api/runs", headers={"Accept-Encoding": "gzip"})
     assert headers["Content-Encoding"] == "gzip"
+
+
+def test_scripts_and_styles_are_requested_once_per_version(server: Server) -> None:
+    page = server.request("/")[2].decode()
+    paths = re.findall(r'(?:src|href)="(static/[^"]+\.(?:js|css))"', page)
+    assert len(paths) == 4 and all(re.match(r"static/[0-9a-f]{20}/", path) for path in paths)
+    for path in paths:
+        status, headers, content = server.request(f"/{path}")
+        assert status == 200 and "immutable" in headers["Cache-Control"], path
+        plain = server.request("/static/" + path.split("/", 2)[2])
+        assert plain[2] == content and plain[1]["Cache-Control"] == "no-cache"
+    version = paths[0].split("/")[1]
+    assert server.request(f"/static/{version}/../../x")[0] == 404
+    status, headers, _ = server.request(f"/static/{version}/none.js")
+    assert status == 404 and "immutable" not in headers["Cache-Control"]
 
 
 async def messages_of(server: Server, watch: dict, act, until) -> list[dict]:

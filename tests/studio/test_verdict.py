@@ -16,7 +16,7 @@ from kinetix_dist.studio.runs.run_reader import RunReader
 from kinetix_dist.studio.runs.statements import Statement
 from kinetix_dist.studio.runs.verdict import Verdict, verdict_of
 from kinetix_dist.studio.runs.verdict_sets import SetHistory
-from kinetix_dist.studio.runs.verdict_training import stability_of
+from kinetix_dist.studio.runs.verdict_stability import stability_of
 from kinetix_dist.telemetry.curriculum_log import BUFFER, DIRECTORY, OUTCOMES, write_snapshot
 from kinetix_dist.telemetry.json_lines import append_line
 from tests.helpers import REPOSITORY
@@ -87,7 +87,7 @@ def test_learnability_of_the_buffer_is_held_against_fresh_levels_in_training(lea
 
 def test_levels_made_easy_and_never_touched_are_named(learning: Verdict) -> None:
     easy, untouched = statement(learning, "easy"), statement(learning, "untouched")
-    assert "Of 48 levels of buffer 64, played again by version 80" in easy.sentence and "a gain of" in easy.sentence
+    assert "Of 48 levels of buffer 64, played again at refresh 80" in easy.sentence and "a gain of" in easy.sentence
     assert "in none of the newest 6 buffers: 4 joints (" in untouched.sentence and "0 of 3," in untouched.sentence
     assert easy.query["refresh"] == "64" and untouched.query["refresh"] == "80"
 
@@ -122,7 +122,7 @@ def test_a_collapse_is_called_so_with_all_its_signs(tmp_path: Path) -> None:
         assert sign in stability.sentence
     worse = statement(found, "worse")
     assert worse.state == "bad" and worse.sentence.startswith("2 of 2 sets: random_s, a loss of 46.0 points")
-    assert "learner/entropy" in statement(found, "warnings").sentence
+    assert statement(found, "warnings").sentence == "None of other metrics: see the parts above.", "each is said once"
 
 
 def test_a_collapse_is_seen_in_metrics_alone_and_a_new_phase_is_none(tmp_path: Path) -> None:
@@ -187,6 +187,17 @@ def test_levels_that_are_learned_while_they_are_used_are_not_mislabelled(tmp_pat
     assert float(overall.split()[0]) < 0.6 * 0.25
 
 
+def test_solve_rates_in_training_are_held_against_the_first_the_best_and_a_line(tmp_path: Path) -> None:
+    """They rise to update 48, then fall back half of the way: more than at first, less than at best, and falling."""
+    run = write_config(tmp_path / "a")
+    write_metrics(run, 96, lambda update: {})
+    write_curriculum(run, 6, undecided, episodes=8, fresh_rate=lambda u: 0.3 + (u if u < 48 else 96 - u / 1.5) / 160)
+    found = statement(verdict(run), "training")
+    assert found.state == "neutral" and ": a gain of " in found.sentence
+    assert "The best part was" in found.sentence and "; since then a loss of" in found.sentence
+    assert "A line through the last half falls (-" in found.sentence
+
+
 def test_a_run_with_its_configuration_alone_is_unknown(tmp_path: Path) -> None:
     run = write_config(tmp_path / "a", run={"total_env_steps": 1024})
     found = verdict(run)
@@ -222,9 +233,9 @@ def test_damaged_lines_and_files_are_left_out_and_named(tmp_path: Path) -> None:
     (run / DIRECTORY / "refresh_00000000.npz").write_bytes(b"no archive")
     after = verdict(run)
     assert (after.state, after.heading) == (before.state, before.heading)
-    assert [statement(after, key) for key in ("claim", "learnability", "easy")] == [
-        statement(before, key) for key in ("claim", "learnability", "easy")
-    ]
+    assert [statement(after, key) for key in ("claim", "easy")] == [statement(before, key) for key in ("claim", "easy")]
+    assert "since buffer 0," in statement(before, "learnability").sentence
+    assert "since buffer 16," in statement(after, "learnability").sentence
     text = "\n".join(after.problems)
     for name in ("evaluations.jsonl", OUTCOMES, "processes.jsonl", "refresh_00000000.npz"):
         assert name in text
@@ -430,12 +441,14 @@ def test_a_phase_that_began_before_a_collapse_is_its_cause(tmp_path: Path) -> No
     first = point | {"update": 0, "rate": 0.1, "solved": [6], "phase": "before"}
     lost = SetHistory(
         name="s",
+        levels=None,
         first=first,
         best=top,
         now=point | {"update": 30, "phase": "training"},
         random=None,
         since_first=(-0.1, -0.2, -0.01),
         since_best=(-0.5, -0.6, -0.4),
+        since_half=(-0.5, -0.6, -0.4),
         above_random=None,
     )
     events = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from kinetix_dist.studio.runs.series import SeriesTable
-from kinetix_dist.studio.runs.warnings import RULES, Rule, warnings_of
+from kinetix_dist.studio.runs.warnings import RULES, SPEED, STABILITY, Rule, warning_statements, warnings_of
 
 # By metric: values of 20 rows with which the rule just holds, and with which it just does not.
 CASES = {
@@ -37,7 +37,7 @@ def table_of(metric: str, values: list[float]) -> SeriesTable:
 def test_a_rule_holds_where_it_should(rule: Rule) -> None:
     holds, does_not = CASES[rule.metric]
     (warning,) = warnings_of(table_of(rule.metric, holds))
-    assert warning["metric"] == rule.metric and warning["finding"]
+    assert warning.rule is rule and warning.finding
     assert warnings_of(table_of(rule.metric, does_not)) == []
 
 
@@ -45,19 +45,19 @@ def test_a_run_without_these_metrics_has_no_warnings() -> None:
     assert warnings_of(table_of("train/episodes", [1.0])) == [] == warnings_of(SeriesTable())
 
 
-def test_a_set_that_fell_below_its_interval_is_a_warning() -> None:
-    def point(phase: str, update: int, rate: float, half: float) -> dict:
-        return {
-            "phase": phase,
-            "update": update,
-            "rate": rate,
-            "low": rate - half,
-            "high": rate + half,
-            "episodes": 100,
-        }
-
-    falling = [point("random_policy", 0, 0.9, 0.01), point("before", 0, 0.5, 0.1), point("after", 9, 0.3, 0.05)]
-    (warning,) = warnings_of(SeriesTable(), {"sets": {"designed_s": {"points": falling}}})
-    assert warning["metric"] == "evaluation/designed_s/solve_rate" and "at update 0 50.0%" in warning["finding"]
-    falling[-1] = point("after", 9, 0.45, 0.05)
-    assert warnings_of(SeriesTable(), {"sets": {"designed_s": {"points": falling}}}) == []
+def test_each_warning_is_stated_once_by_the_part_that_it_is_about() -> None:
+    rows = {"learner/approx_kl": 0.2, "time/idle": 0.3, "learner/skipped_steps": 1.0}
+    table = SeriesTable()
+    table.append({"update": update, **rows} for update in range(1, 21))
+    warnings = warnings_of(table)
+    assert {one.rule.metric: one.rule.part for one in warnings} == {
+        "learner/approx_kl": "",
+        "time/idle": SPEED,
+        "learner/skipped_steps": STABILITY,
+    }
+    (statement,) = warning_statements(warnings)
+    assert statement.title == "learner/approx_kl" and statement.query == {"panel": "learner/approx_kl"}
+    assert statement.sentence == "0.2 in the last 10 rows (rule: mean of 10 rows above 0.1)."
+    assert "lower ppo.learning_rate" in statement.remedy
+    (none,) = warning_statements([])
+    assert none.state == "good" and none.sentence == "None."

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from kinetix_dist.evaluation.intervals import difference_interval, interval_over_levels
+from kinetix_dist.level.level_data import base_levels
 
 MAX_COUNT_GROUPS = 5  # of a feature that counts: 0, 1, 2, 3, 4 or more
 MIN_SHARE = 0.05  # of the levels in the first and last of these; fewer are put together with their neighbours
@@ -62,6 +63,15 @@ def failure_groups(
     ]
     found.sort(key=lambda one: (-one.pop("least_explained"), -one["explained"]))
     return found
+
+
+def groups_of_set(
+    name: str, names: Sequence[str], solved: Sequence[int], attempts: int, features: Mapping[str, Sequence[float]]
+) -> list[dict[str, Any]]:
+    """`failure_groups` of a set: names and solved attempts of its levels. Without features, by family alone."""
+    base = base_levels(name, list(names))
+    levels = SolvedLevels(solved=tuple(solved), attempts=attempts, base_levels=tuple(base))
+    return failure_groups(levels, features, families_of(names, base))
 
 
 def families_of(names: Sequence[str], base_levels: Sequence[str]) -> list[str]:

@@ -25,8 +25,16 @@ def finetune_lines(run: Path, levels: str, *, archive: str | None) -> list[str]:
 
 def has_checkpoint(run: Path) -> bool:
     """True where a run has written a checkpoint; it may be damaged, which `finetune` says."""
+    return bool(checkpoints_of(run))
+
+
+def checkpoints_of(run: Path) -> list[Path]:
+    """Checkpoints of a run, named by their updates, oldest first. Empty where it has none."""
     folder = run / CHECKPOINTS
-    return folder.is_dir() and any(path.name.isdecimal() for path in folder.iterdir())
+    try:
+        return sorted((path for path in folder.iterdir() if path.name.isdecimal()), key=lambda path: int(path.name))
+    except (FileNotFoundError, NotADirectoryError):
+        return []
 
 
 def archive_stem(run_id: str, set_name: str, num_levels: int) -> str:

@@ -1,4 +1,4 @@
-"""Sentences about snapshots and counts that a run does not have yet: after which update they are expected.
+"""Sentences about snapshots, counts and probes that a run does not have yet: after which update they are expected.
 
 From the run's configuration: the kind of its curriculum, when refreshes are adopted, and when checkpoints are taken.
 """
@@ -6,7 +6,7 @@ From the run's configuration: the kind of its curriculum, when refreshes are ado
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 # By the files that they leave in curriculum/; tests hold these against the registry of curricula.
@@ -49,6 +49,26 @@ def first_outcomes(config: Mapping[str, Any], update: int | None) -> str:
     if every is None:
         return "The first come after curriculum_log.outcomes_every updates."
     return _expectation("counts", every, "or when the buffer changes", update)
+
+
+def next_probe(config: Mapping[str, Any], refreshes: Sequence[int], *, is_over: bool) -> str:
+    """Sentence about when it is known what was learned from the newest buffer: its next refresh plays it again.
+
+    refreshes: numbers of those that are there, oldest first; one or more.
+    """
+    if not config:
+        return "It has no config.json that can be read, so that it is not known whether the next refresh plays it again."
+    levels, every = _value(config, "curriculum_log", "probe_levels"), _value(config, "curriculum_log", "probe_every")
+    if not levels:
+        return "Not measured: curriculum_log.probe_levels is 0, so that no refresh plays levels again."
+    if every and len(refreshes) % every:
+        return f"Not measured: only every {every}. refresh plays levels again (curriculum_log.probe_every)."
+    if is_over:
+        return f"Not known: the run ended before the refresh that would have played buffer {refreshes[-1]} again."
+    step = _value(config, "curriculum", "refresh_every")
+    if step is None:
+        return "Not known yet: the next refresh plays this buffer again."
+    return f"Not known yet: refresh {refreshes[-1] + step} plays buffer {refreshes[-1]} again (curriculum.refresh_every {step})."
 
 
 def _expectation(noun: str, expected: int, reason: str, update: int | None) -> str:

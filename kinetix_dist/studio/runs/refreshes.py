@@ -74,8 +74,9 @@ def training_plays(outcomes: Iterable[Mapping[str, Any]]) -> dict[int, Plays]:
 
 def counts_table(solved: np.ndarray, finished: np.ndarray) -> list[list[int]]:
     """Table [[solved, finished, levels], ...] of the pairs that occur."""
-    pairs, levels = np.unique(np.stack([solved, finished], 1), axis=0, return_counts=True)
-    return np.concatenate([pairs, levels[:, None]], 1).astype(int).tolist()
+    width = int(finished.max(initial=0)) + 1  # a pair as one number, which sorts faster than rows
+    pairs, levels = np.unique(solved.astype(np.int64) * width + finished, return_counts=True)
+    return np.stack([pairs // width, pairs % width, levels], 1).tolist()
 
 
 def histogram_of_p(solved: np.ndarray, finished: np.ndarray) -> list[int]:
@@ -125,8 +126,9 @@ def rates_by_feature(
     """Rates {feature: [{value} and `rate_over_levels` of its levels]}. features: [N, F], counts: [N]."""
     return {
         str(name): [
-            {"value": int(value)} | rate_over_levels(solved[values == value], finished[values == value])
+            {"value": int(value)} | rate_over_levels(solved[is_in], finished[is_in])
             for value in np.unique(values)
+            for is_in in [values == value]
         ]
         for name, values in zip(names, features.T, strict=True)
     }
@@ -238,6 +240,7 @@ class Refreshes:
         self._path = path
         self._lock = threading.Lock()
         self._read: dict[Path, tuple[tuple[int, int], Snapshot]] = {}
+        self._described: dict[tuple[str, int], tuple[Snapshot, dict[str, Any]]] = {}
         self._outcomes = Tail(path / run_files.OUTCOMES, is_row=_is_window)
         self._rows: list[dict[str, Any]] = []  # of outcomes, as far as it was read
 
@@ -264,7 +267,7 @@ class Refreshes:
         described = []
         for position, snapshot in enumerate(snapshots):
             try:
-                entry = describe_snapshot(snapshot)
+                entry = self._describe(snapshot)
             except KeyError as error:
                 problems.append(f"{snapshot.kind} {snapshot.number} lacks {error}; it is left out")
                 continue
@@ -280,6 +283,13 @@ class Refreshes:
                 entry["retained"] = len(np.intersect1d(before.arrays["level_id"], snapshot.arrays["level_id"]))
             described.append(entry)
         return {"snapshots": described, "windows": [_describe_window(row) for row in windows], "problems": problems}
+
+    def _describe(self, snapshot: Snapshot) -> dict[str, Any]:
+        """A copy of `describe_snapshot`, which is worked out once for a file. Raises KeyError."""
+        key = (snapshot.kind, snapshot.number)
+        if key not in self._described or self._described[key][0] is not snapshot:
+            self._described[key] = (snapshot, describe_snapshot(snapshot))
+        return dict(self._described[key][1])
 
     def snapshot(self, kind: str, number: int) -> Snapshot:
         """Snapshot without levels. Raises KeyError where there is none, SnapshotError, OSError."""
@@ -357,15 +367,26 @@ def _is_window(row: dict[str, Any]) -> bool:
     if FRESH_PAIRS in row and not is_pairs(row[FRESH_PAIRS]):
         return False
     counts = [row.get("solved", []), row.get("attempts", [])]
-    if not all(isinstance(values, list) and all(isinstance(v, int) for v in values) for values in counts):
-        return False
     sources = row["sources"].values()
     if not all(isinstance(source, dict) for source in sources):
         return False
-    pairs = [*zip(*counts, strict=False), *((source.get("solved"), source.get("attempts")) for source in sources)]
-    return len(counts[0]) == len(counts[1]) and all(
-        isinstance(solved, int) and isinstance(tried, int) and 0 <= solved <= tried for solved, tried in pairs
-    )
+    counts += [[source.get(name) for source in sources] for name in ("solved", "attempts")]
+    return _are_counts(*counts[:2]) and _are_counts(*counts[2:])
+
+
+def _are_counts(solved: Any, attempts: Any) -> bool:
+    """True for two lists of as many integers, of which none of the first is above that of the second or below 0."""
+    if not isinstance(solved, list) or not isinstance(attempts, list) or len(solved) != len(attempts):
+        return False
+    if not solved:
+        return True
+    try:
+        arrays = [np.asarray(values) for values in (solved, attempts)]
+    except ValueError:  # lists in lists, of different lengths
+        return False
+    if not all(array.ndim == 1 and array.dtype.kind == "i" for array in arrays):
+        return False
+    return bool((arrays[0] >= 0).all() and (arrays[0] <= arrays[1]).all())
 
 
 def _histogram(values: np.ndarray) -> dict[str, Any]:

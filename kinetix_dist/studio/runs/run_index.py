@@ -60,6 +60,11 @@ class RunStatus:
     time: float | None = None  # unix time s at which the source was written
     problem: str | None = None  # of the status file
 
+    @property
+    def is_over(self) -> bool:
+        """It writes nothing more, unless it is resumed."""
+        return self.state in (FINISHED, STOPPED, FAILED, SILENT)
+
 
 class RunIndex:
     """Index of runs, updated by `scan`. Ids stay with their directories."""

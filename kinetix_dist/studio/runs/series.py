@@ -47,6 +47,11 @@ class SeriesTable:
             return np.full(self.num_rows, np.nan)
         return self._columns[name][: self.num_rows]
 
+    def known(self, name: str) -> np.ndarray:
+        """Values [n] of the rows that have it."""
+        column = self.column(name)
+        return column[~np.isnan(column)]
+
     def append(self, rows: Iterable[Mapping[str, Any]]) -> int:
         """Adds rows, each with an int `update`; returns from which row on the table is new.
 
@@ -179,4 +184,7 @@ def select(x: np.ndarray, start: float | None, end: float | None) -> slice:
 
 def to_json(values: np.ndarray) -> list[float | None]:
     """Values as JSON, which has no nan: None."""
-    return [value if np.isfinite(value) else None for value in values.tolist()]
+    found, is_finite = values.tolist(), np.isfinite(values)
+    if is_finite.all():
+        return found
+    return [value if is_known else None for value, is_known in zip(found, is_finite.tolist(), strict=True)]

@@ -1,10 +1,13 @@
 """Verdict on a run: is it working? Computed from the files of its directory, each statement with its evidence.
 
     evaluations.jsonl                --verdict_sets---------> held-out sets now and before, sets that got worse
-    curriculum/outcomes.jsonl        --verdict_training-----> solve rate of fresh levels
-    metrics.jsonl                    --verdict_training-----> stability, speed, warnings
+    curriculum/outcomes.jsonl        --verdict_trend--------> solve rate of fresh levels
+    metrics.jsonl                    --verdict_stability----> signs of a collapse
+                                     --verdict_speed--------> speed and its bottleneck
+                                     --warnings-------------> rules that hold
     curriculum/refresh_*.npz         --verdict_learnability-> labels of the buffer, learnability against fresh levels
                                      --verdict_levels-------> made easy, never touched
+    all of these                     --verdict_advice-------> what to try next
 
 docs/dashboard.md, section Verdict, has each rule and its data. No rule changes a run, and none needs all files: what
 is not recorded is `unknown`, in words.
@@ -25,6 +28,22 @@ from kinetix_dist.studio.runs.run_files import RunFileError, read_config
 from kinetix_dist.studio.runs.run_index import RunStatus, status_of
 from kinetix_dist.studio.runs.run_reader import RunReader
 from kinetix_dist.studio.runs.statements import BAD, GOOD, NEUTRAL, UNKNOWN, Statement, counted, percent
+from kinetix_dist.studio.runs.verdict_advice import (
+    COLLAPSED,
+    EARLY,
+    FELL_SILENT,
+    FLAWED,
+    HAS_FAILED,
+    OUTCOMES,
+    PARTLY,
+    UNCLEAR,
+    WORKS,
+    WORSE,
+    Evidence,
+    NextStep,
+    next_step,
+)
+from kinetix_dist.studio.runs.verdict_failing import failing_statement
 from kinetix_dist.studio.runs.verdict_learnability import (
     Learnability,
     claim_statement,
@@ -33,21 +52,20 @@ from kinetix_dist.studio.runs.verdict_learnability import (
     no_buffer_statement,
 )
 from kinetix_dist.studio.runs.verdict_levels import easy_statement, replayed, untouched_statement
-from kinetix_dist.studio.runs.verdict_sets import SetHistory, failing_statement, set_histories, set_statements
-from kinetix_dist.studio.runs.verdict_training import (
-    Stability,
-    Trend,
-    speed_statement,
-    stability_of,
-    stability_statement,
-    trend_of,
-    trend_statement,
-    warnings_statement,
-)
-from kinetix_dist.studio.runs.warnings import warnings_of
+from kinetix_dist.studio.runs.verdict_sets import SetHistory, set_histories, set_statements
+from kinetix_dist.studio.runs.verdict_speed import speed_statement
+from kinetix_dist.studio.runs.verdict_stability import Stability, stability_of, stability_statement
+from kinetix_dist.studio.runs.verdict_trend import ALL_LEVELS, Trend, trend_of, trend_statement
+from kinetix_dist.studio.runs.warnings import warning_statements, warnings_of
 from kinetix_dist.telemetry.curriculum_log import REFRESH, Snapshot
-from kinetix_dist.telemetry.status import FAILED, FINISHED, SILENT, STOPPED
+from kinetix_dist.telemetry.status import FAILED, SILENT, STOPPED
 
+STATES = {
+    **dict.fromkeys((HAS_FAILED, FELL_SILENT, COLLAPSED, WORSE, FLAWED), BAD),
+    **dict.fromkeys((UNCLEAR, PARTLY), NEUTRAL),
+    EARLY: UNKNOWN,
+    WORKS: GOOD,
+}
 MAX_NAMED = 2  # sets, in the heading
 SNAPSHOTS = 32  # the newest, so that a long run takes no longer
 ARRAYS = ("level_id", "features", "feature_names", "solved", "finished", "curriculum", "candidates/features", "candidates/solved", "candidates/finished")  # fmt: skip
@@ -57,17 +75,32 @@ ARRAYS = ("level_id", "features", "feature_names", "solved", "finished", "curric
 class Verdict:
     """Answer to "is it working?" in a sentence, and its parts."""
 
-    state: str  # of statements
+    outcome: str  # of OUTCOMES
     heading: str
     statements: tuple[Statement, ...]
+    next_step: NextStep
     problems: tuple[str, ...]  # a line for each file that is damaged or cannot be read
+
+    @property
+    def state(self) -> str:
+        """Of statements."""
+        return STATES[self.outcome]
 
     def to_json(self) -> dict[str, Any]:
         return {
-            "state": self.state,
-            "heading": self.heading,
+            **self.summary(),
+            "next": self.next_step.to_json(),
             "statements": [statement.to_json() for statement in self.statements],
             "problems": [*self.problems],
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """For a row of a table; `rank` rises from the worst outcome to the best."""
+        return {
+            "outcome": self.outcome,
+            "rank": OUTCOMES.index(self.outcome),
+            "state": self.state,
+            "heading": self.heading,
         }
 
 
@@ -95,7 +128,7 @@ def verdict_of(reader: RunReader, refreshes: Refreshes, processes: Processes) ->
         trend = trend_of(table, windows)
         stability = stability_of(table, histories, trend, reader.events)
         learnability = learnability_of(chosen, windows, table)
-        warnings = warnings_of(table, evaluated)
+        warnings = warnings_of(table)
         speed = speed_statement(table, described, warnings)
         update = int(table.column("update")[-1]) if table.num_rows else None
     if learnability is None:
@@ -107,24 +140,40 @@ def verdict_of(reader: RunReader, refreshes: Refreshes, processes: Processes) ->
             easy_statement(replayed(chosen, windows)),
             untouched_statement(chosen),
         ]
-    state, heading = _heading(status, update, histories, trend, stability)
+    outcome, heading = _heading(status, update, histories, trend, stability)
     if stability.is_collapsed:  # whatever else is wrong may follow from that
         curriculum = [dataclasses.replace(statement, remedy="") for statement in curriculum]
     else:
-        state, heading = _with_curriculum(state, heading, curriculum, learnability)
+        outcome, heading = _with_curriculum(outcome, heading, curriculum, learnability)
+    statements = (
+        *_status_statement(status, update),
+        *set_statements(histories, config),
+        *failing_statement(histories),
+        trend_statement(trend),
+        stability_statement(stability),
+        *curriculum,
+        speed,
+        *warning_statements(warnings),
+    )
+    evidence = Evidence(
+        path=path,
+        config=config,
+        status=status,
+        table=table,
+        histories=histories,
+        trend=trend,
+        stability=stability,
+        learnability=learnability,
+        warnings=warnings,
+        statements=statements,
+    )
+    with reader.lock:
+        advice = next_step(outcome, evidence)
     return Verdict(
-        state=state,
+        outcome=outcome,
         heading=heading,
-        statements=(
-            *_status_statement(status, update),
-            *set_statements(histories, config),
-            *failing_statement(histories),
-            trend_statement(trend),
-            stability_statement(stability),
-            *curriculum,
-            speed,
-            warnings_statement(warnings),
-        ),
+        statements=statements,
+        next_step=advice,
         problems=tuple(dict.fromkeys(problems)),
     )
 
@@ -169,10 +218,7 @@ def _status_statement(status: RunStatus, update: int | None) -> list[Statement]:
     state = NEUTRAL if status.state == STOPPED else BAD
     at = f" at update {update:,}" if update is not None else " before its first update"
     sentence = f"{status.state.capitalize()}{at}: {status.text}."
-    remedy = "kinetix-dist train --resume with its directory goes on from the last checkpoint"
-    return [
-        Statement(key="status", title="State", state=state, sentence=sentence, remedy=remedy, query={"panel": "Events"})
-    ]
+    return [Statement(key="status", title="State", state=state, sentence=sentence, query={"panel": "Events"})]
 
 
 def _heading(
@@ -182,17 +228,16 @@ def _heading(
     trend: Trend | None,
     stability: Stability,
 ) -> tuple[str, str]:
-    """(state, sentence) that answers "is it working?", without the curriculum."""
-    is_over = status.state in (FINISHED, FAILED, SILENT, STOPPED)
-    state, sentence = _learning(update, histories, trend, stability, is_over=is_over)
+    """(outcome, sentence) that answers "is it working?", without the curriculum."""
+    outcome, sentence = _learning(update, histories, trend, stability, is_over=status.is_over)
     if status.state in (FAILED, SILENT):
-        what = "failed" if status.state == FAILED else "fell silent"
+        ended, what = (HAS_FAILED, "failed") if status.state == FAILED else (FELL_SILENT, "fell silent")
         if update is None:
-            return BAD, f"The run {what} before its first update."
-        return BAD, f"The run {what}. Until then: {sentence[0].lower()}{sentence[1:]}"
-    if update is None and status.phase is not None and not is_over:
+            return ended, f"The run {what} before its first update."
+        return ended, f"The run {what}. Until then: {sentence[0].lower()}{sentence[1:]}"
+    if update is None and status.phase is not None and not status.is_over:
         sentence = f"{sentence} The run is {status.phase}."
-    return state, sentence
+    return outcome, sentence
 
 
 def _learning(
@@ -200,44 +245,44 @@ def _learning(
 ) -> tuple[str, str]:
     if stability.is_collapsed:
         cause = f", and {stability.causes[0]}" if stability.causes else ""
-        return BAD, f"No: training collapsed; {stability.signs[0]}{cause}."
+        return COLLAPSED, f"No: training collapsed; {stability.signs[0]}{cause}."
     compared = [one for one in histories if one.since_first is not None]
     gained = [one.name for one in compared if one.has_gained and not one.is_worse]
     worse = [one.name for one in compared if one.is_worse]
     of = f"{len(gained)} of {counted(len(compared), 'held-out set')}"
     if worse and not gained:
-        return BAD, f"No: {', '.join(worse)} got worse by more than chance, and no held-out set rose."
+        return WORSE, f"No: {', '.join(worse)} got worse by more than chance, and no held-out set rose."
     if worse:
-        return NEUTRAL, f"In part: {of} rose by more than chance, {', '.join(worse)} got worse."
+        return PARTLY, f"In part: {of} rose by more than chance, {', '.join(worse)} got worse."
     below = [one.name for one in compared if one.above_random is not None and one.above_random[0] <= 0]
     if gained and set(gained) <= set(below):
-        return NEUTRAL, f"In part: {of} rose by more than chance, but not above random actions."
+        return PARTLY, f"In part: {of} rose by more than chance, but not above random actions."
     if gained:
         return (
-            GOOD,
+            WORKS,
             f"Yes: {'it learned' if is_over else 'it learns'}. {of} rose by more than chance: {_gains(compared)}.",
         )
-    rises = trend is not None and trend.source != "all levels" and trend.since_first[1] > 0
+    rises = trend is not None and trend.source != ALL_LEVELS and trend.since_first[1] > 0
     if compared:
         also = " Solve rates in training rose, on levels of its own generator." if rises else ""
         names = (
             f"{compared[0].name} did not rise" if len(compared) == 1 else f"none of {len(compared)} held-out sets rose"
         )
-        return NEUTRAL, f"Not shown: {names} by more than chance{'' if is_over else ' so far'}.{also}"
+        return UNCLEAR, f"Not shown: {names} by more than chance{'' if is_over else ' so far'}.{also}"
     if rises and trend is not None:
         return (
-            GOOD,
+            WORKS,
             f"Yes on {trend.source} in training, which are solved more often; no held-out set was evaluated twice yet.",
         )
     if update is None:
-        return UNKNOWN, "Too early to tell: no update is done."
+        return EARLY, "Too early to tell: no update is done."
     once = "each held-out set was evaluated once" if histories else "no held-out set was evaluated"
     rate = (
         "there are too few attempts in training"
         if trend is None
         else "solve rates in training have not risen by more than chance"
     )
-    return UNKNOWN, f"Cannot be told yet: {once}, and {rate}."
+    return EARLY, f"Cannot be told yet: {once}, and {rate}."
 
 
 def _gains(histories: Sequence[SetHistory]) -> str:
@@ -251,7 +296,7 @@ def _gains(histories: Sequence[SetHistory]) -> str:
 
 
 def _with_curriculum(
-    state: str, heading: str, curriculum: Sequence[Statement], learnability: Learnability | None
+    outcome: str, heading: str, curriculum: Sequence[Statement], learnability: Learnability | None
 ) -> tuple[str, str]:
     """A buffer that is not what it claims, or offers less than fresh levels, is part of the answer."""
     bad = {statement.key for statement in curriculum if statement.state == BAD}
@@ -262,7 +307,7 @@ def _with_curriculum(
     elif "learnability" in bad:
         flaw = "its buffer is less learnable than fresh levels"
     else:
-        return state, heading
-    if state == GOOD:
-        return NEUTRAL, f"{heading} But {flaw}."
-    return BAD, f"{heading} Also, {flaw}."
+        return outcome, heading
+    if outcome == WORKS:
+        return PARTLY, f"{heading} But {flaw}."
+    return (outcome if STATES[outcome] == BAD else FLAWED), f"{heading} Also, {flaw}."

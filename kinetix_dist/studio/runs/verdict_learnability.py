@@ -49,6 +49,14 @@ class Learnability:
     num_candidates: int
     fresh: dict[str, Any] | None  # of `learnability_of_pairs`
     share_undecided: float  # of its levels that were solved sometimes when they were scored
+    before: tuple[int, Estimate] | None = None  # number and measure of the first buffer that training played enough
+
+    @property
+    def since_before(self) -> Estimate | None:
+        """Change of the measure since that buffer."""
+        if self.measured is None or self.before is None:
+            return None
+        return difference_interval(self.measured, self.before[1])
 
     @property
     def is_mislabelled(self) -> bool:
@@ -67,7 +75,12 @@ def learnability_of(
     """refreshes: oldest first. None for a run without one."""
     described = [_describe(snapshot, windows, table) for snapshot in refreshes[-2:]]
     played = [one for one in described if one.measured is not None]
-    return played[-1] if played else (described[-1] if described else None)
+    if not played:
+        return described[-1] if described else None
+    found = played[-1]
+    earlier = (_describe(snapshot, windows, table) for snapshot in refreshes if snapshot.number < found.number)
+    before = next(((one.number, one.measured) for one in earlier if one.measured is not None), None)
+    return dataclasses.replace(found, before=before)
 
 
 def _describe(snapshot: Snapshot, windows: Sequence[Mapping[str, Any]], table: SeriesTable) -> Learnability:
@@ -145,6 +158,7 @@ def claim_statement(found: Learnability) -> Statement:
             key="claim", title=title, state=state, sentence=sentence, remedy=remedy, page="curriculum", query=query
         )
 
+    limits = f"{100 * MISLABELLED:.0f} % of the claim", f"{100 * INFLATED:.0f} % of the claim"
     claim = (
         f"buffer {found.number} claims p (1 - p) {found.claimed:.3f} by {found.episodes_per_level:.1f} scoring episodes "
         f"per level"
@@ -159,7 +173,11 @@ def claim_statement(found: Learnability) -> Statement:
         remedy = "widen curriculum.generator, or raise curriculum.num_candidates: no level was solved sometimes"
         return statement(BAD, f"{claim.capitalize()}: it holds no level that is solved sometimes; {measured}.", remedy)
     if (high - low) / 2 > UNSURE * found.claimed:
-        return statement(UNKNOWN, f"{claim.capitalize()}; {measured}, too few plays to tell.")
+        return statement(
+            UNKNOWN,
+            f"{claim.capitalize()}; {measured}, too few plays to tell: the interval may reach {100 * UNSURE:.0f} % of the "
+            "claim to each side.",
+        )
     missing = max(1 - value / found.claimed, 0.0)
     sentence = f"{claim}; {measured}, {100 * missing:.0f} % less" if missing else f"{claim}; {measured}, not less"
     if found.is_mislabelled:
@@ -167,11 +185,21 @@ def claim_statement(found: Learnability) -> Statement:
             f"score with more episodes than {found.episodes_per_level:.1f} per level: raise curriculum.scoring_steps "
             "(or curriculum.name sfl_slices, which scores the best again); then curriculum.num_candidates"
         )
-        return statement(BAD, f"Mislabelled: {sentence}. So few episodes choose levels by chance.", remedy)
+        return statement(
+            BAD,
+            f"Mislabelled: {sentence}; the whole interval is below {limits[0]}. So few episodes choose levels by chance.",
+            remedy,
+        )
     if high < INFLATED * found.claimed:
         remedy = "more scoring episodes (curriculum.scoring_steps) bring claims nearer to the truth"
-        return statement(NEUTRAL, f"Inflated by selection: {sentence}.", remedy)
-    return statement(GOOD, f"{sentence[0].upper()}{sentence[1:]}: labels hold.")
+        return statement(
+            NEUTRAL,
+            f"Inflated by selection: {sentence}; the interval ends below {limits[1]}, yet not below {100 * MISLABELLED:.0f} % of it.",
+            remedy,
+        )
+    return statement(
+        GOOD, f"{sentence[0].upper()}{sentence[1:]}: labels hold, since the interval reaches {limits[1]}."
+    )
 
 
 def no_buffer_statement(windows: Sequence[Mapping[str, Any]], sentence: str) -> Statement:
@@ -211,7 +239,7 @@ def learnability_statement(found: Learnability) -> Statement:
     if found.measured is None:
         return statement(UNKNOWN, f"Buffer {found.number}: not played enough in training yet; {rest}")
     plays = f", {found.num_played_twice:,} levels played twice or more, {counted(found.attempts, 'attempt')}"
-    sentence = f"Buffer {found.number} in training {_interval(found.measured)}{plays if found.attempts else ''}; {rest}"
+    sentence = f"Buffer {found.number} in training {_interval(found.measured)}{plays if found.attempts else ''}; {rest}{_since(found)}"
     control = found.control
     if control is None:
         return statement(NEUTRAL, f"{sentence} So there is nothing to compare it with.")
@@ -230,6 +258,16 @@ def learnability_statement(found: Learnability) -> Statement:
     if is_below(difference):
         return statement(BAD, f"{sentence} The buffer has less than {name}: it costs more than it gives.", remedy)
     return statement(NEUTRAL, f"{sentence} No difference between the buffer and {name} can be told.", remedy)
+
+
+def _since(found: Learnability) -> str:
+    difference = found.since_before
+    if difference is None or found.before is None:
+        return ""
+    number, before = found.before
+    if is_below(difference) or is_above(difference):
+        return f" It {'fell' if is_below(difference) else 'rose'} since buffer {number}, which had {_interval(before)}."
+    return f" No change by more than chance since buffer {number}, which had {_interval(before)}."
 
 
 def _fresh(pairs: Mapping[str, Any] | None, *, is_counted: bool = True) -> str:

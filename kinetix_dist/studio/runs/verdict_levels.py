@@ -60,7 +60,7 @@ def replayed(refreshes: Sequence[Snapshot], windows: Sequence[Mapping[str, Any]]
             rows, first = np.unique(arrays["probe/index"], return_index=True)
             now = [arrays[f"probe/{name}"][first].astype(np.int64) for name in ("solved", "finished")]
             own = windows_of(windows, before.number)
-            return _replayed(before, rows, now, own, f"played again by version {snapshot.number}")
+            return _replayed(before, rows, now, own, f"played again at refresh {snapshot.number}")
     for snapshot in reversed(refreshes):
         own = windows_of(windows, snapshot.number)
         late = training_plays(own[len(own) // 2 :]).get(snapshot.number) if len(own) > 1 else None

@@ -50,12 +50,14 @@ class SetHistory:
     """Evaluations of one set: the first, the best before the last, the last, random actions; and their differences."""
 
     name: str
+    levels: Sequence[str] | None  # names of its levels; None: there are counts of the whole set alone
     first: Point
     best: Point
     now: Point
     random: Point | None
     since_first: Estimate | None  # None: there is one evaluation
     since_best: Estimate | None
+    since_half: Estimate | None  # since the last evaluation of the first half of its updates
     above_random: Estimate | None
 
     @property
@@ -102,14 +104,21 @@ def _history(name: str, levels: Sequence[str] | None, played: Sequence[Point], r
     best = max(earlier, key=lambda point: point["rate"]) if earlier else now
     return SetHistory(
         name=name,
+        levels=levels,
         first=first,
         best=best,
         now=now,
         random=random,
         since_first=_difference(name, levels, now, first) if earlier else None,
         since_best=_difference(name, levels, now, best, len(earlier)) if earlier else None,
+        since_half=_difference(name, levels, now, _halfway(earlier, now)) if earlier else None,
         above_random=None if random is None else _difference(name, levels, now, random),
     )
+
+
+def _halfway(earlier: Sequence[Point], now: Point) -> Point:
+    half = (now["update"] or 0) / 2
+    return [point for point in earlier if (point["update"] or 0) <= half or point is earlier[0]][-1]
 
 
 def _difference(
@@ -177,31 +186,6 @@ def _set_state(history: SetHistory) -> str:
         return UNKNOWN
     beats_random = history.random is None or is_above(history.above_random)
     return GOOD if history.has_gained and beats_random else NEUTRAL
-
-
-def failing_statement(histories: Sequence[SetHistory]) -> list[Statement]:
-    """Levels that are solved in no attempt now, of the set with the largest share of them. Empty without counts."""
-    counted_sets = [one for one in histories if one.now["solved"]]
-    if not counted_sets:
-        return []
-    shares = [(one.now["solved"].count(0) / len(one.now["solved"]), one) for one in counted_sets]
-    _, worst = max(shares, key=lambda pair: pair[0])
-    parts = [
-        f"{one.name} {one.now['solved'].count(0):,} of {counted(len(one.now['solved']), 'level')} "
-        f"({percent(share)}, {counted(one.now['attempts'], 'attempt')} each)"
-        for share, one in shares
-    ]
-    sentence = f"Solved in no attempt now: {', '.join(parts)}. The page has what they have in common."
-    return [
-        Statement(
-            key="failing",
-            title="What fails",
-            state=NEUTRAL,
-            sentence=sentence,
-            page="evaluation",
-            query={"set": worst.name, "sort": "least", "panel": f"What fails in {worst.name}"},
-        )
-    ]
 
 
 def _worse_statement(histories: Sequence[SetHistory]) -> Statement:

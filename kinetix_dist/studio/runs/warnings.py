@@ -7,16 +7,17 @@ A rule reads columns of metrics and returns one line where it holds, with its nu
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from kinetix_dist.studio.runs.series import SeriesTable
+from kinetix_dist.studio.runs.statements import BAD, GOOD, Statement
 from kinetix_dist.telemetry.names import RED
 
 RECENT_ROWS = 10  # over which levels are judged, so that one update alone does not warn
 
+SPEED, STABILITY = "speed", "stability"  # parts of a verdict, by the keys of their statements
 Check = Callable[[SeriesTable], str | None]
 
 
@@ -27,12 +28,21 @@ class Rule:
     metric: str
     condition: str
     check: Check
+    part: str = ""  # of a verdict that states it; "": it has a statement of its own
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Warned:
+    """Rule that holds for a run, with its numbers in one line, and what may help."""
+
+    rule: Rule
+    finding: str
+    remedy: str
 
 
 def _recent(table: SeriesTable, name: str) -> np.ndarray:
     """Last known values of a metric; empty where there are none."""
-    column = table.column(name)
-    return column[~np.isnan(column)][-RECENT_ROWS:]
+    return table.known(name)[-RECENT_ROWS:]
 
 
 def _mean_above(name: str, limit: float) -> Rule:
@@ -85,53 +95,50 @@ def _share_of_first(name: str, share: float) -> Rule:
 RULES: tuple[Rule, ...] = (
     _last_above("curriculum/buffer_is_stale", 0),
     _mean_below("curriculum/learnable_share", 0.01),
-    _ever_above("learner/skipped_steps", 0),
+    dataclasses.replace(_ever_above("learner/skipped_steps", 0), part=STABILITY),
     _ever_above("runtime/dropped_steps", 0),
     _ever_above("runtime/restarts", 0),
     _mean_above("learner/approx_kl", 0.1),
     _mean_above("learner/clip_fraction", 0.4),
-    _share_of_first("learner/entropy", 0.05),
+    dataclasses.replace(_share_of_first("learner/entropy", 0.05), part=STABILITY),
     _ever_above("physics/unstable", 0),
-    _mean_above("time/idle", 0.2),
-    _mean_above("time/curate", 0.1),
-    _mean_above("time/checkpoint", 0.05),
+    dataclasses.replace(_mean_above("time/idle", 0.2), part=SPEED),
+    dataclasses.replace(_mean_above("time/curate", 0.1), part=SPEED),
+    dataclasses.replace(_mean_above("time/checkpoint", 0.05), part=SPEED),
     _last_above("memory/host_share", 0.9),
     _last_above("memory/gpu_share", 0.98),
     _last_above("telemetry/dropped_rows", 0),
 )
 
 
-def warnings_of(table: SeriesTable, evaluated: dict[str, Any] | None = None) -> list[dict[str, str]]:
-    """Rules that hold, [{metric, rule, finding, remedy}]. evaluated: `evaluations.evaluations` of the run."""
-    found = []
-    for rule in RULES:
-        finding = rule.check(table)
-        if finding is not None:
-            remedy = RED[rule.metric][1] if rule.metric in RED else ""
-            found.append({"metric": rule.metric, "rule": rule.condition, "finding": finding, "remedy": remedy})
-    return found + _falling_sets(evaluated or {"sets": {}})
+def warnings_of(table: SeriesTable) -> list[Warned]:
+    """Rules that hold."""
+    found = [(rule, rule.check(table)) for rule in RULES]
+    return [
+        Warned(rule=rule, finding=finding, remedy=RED[rule.metric][1] if rule.metric in RED else "")
+        for rule, finding in found
+        if finding is not None
+    ]
 
 
-def _falling_sets(evaluated: dict[str, Any]) -> list[dict[str, str]]:
-    """Sets whose interval now lies below that of an earlier evaluation of the same run."""
-    found = []
-    for name, entry in evaluated["sets"].items():
-        points = [point for point in entry["points"] if point["phase"] != "random_policy"]
-        if len(points) < 2:
-            continue
-        best, last = max(points[:-1], key=lambda point: point["low"]), points[-1]
-        if last["high"] < best["low"]:
-            found.append(
-                {
-                    "metric": f"evaluation/{name}/solve_rate",
-                    "rule": "95 % interval below that of an earlier evaluation",
-                    "finding": f"{last['rate']:.1%} ({last['low']:.1%} to {last['high']:.1%}, {last['episodes']} "
-                    f"attempts), at update {best['update']} {best['rate']:.1%} ({best['low']:.1%} to "
-                    f"{best['high']:.1%}, {best['episodes']})",
-                    "remedy": "lower ppo.learning_rate, or train on levels nearer to this set",
-                }
-            )
-    return found
+def warning_statements(warnings: Sequence[Warned]) -> list[Statement]:
+    """A statement for each warning that no other part of a verdict states; one that says so where there is none."""
+    found = [
+        Statement(
+            key=f"warning/{one.rule.metric}",
+            title=one.rule.metric,
+            state=BAD,
+            sentence=f"{one.finding} (rule: {one.rule.condition}).",
+            remedy=one.remedy,
+            query={"panel": one.rule.metric},
+        )
+        for one in warnings
+        if not one.rule.part
+    ]
+    if found:
+        return found
+    others = "None of other metrics: see the parts above" if warnings else "None"
+    return [Statement(key="warnings", title="Warnings", state=GOOD, sentence=f"{others}.")]
 
 
 def _rows(count: int) -> str:

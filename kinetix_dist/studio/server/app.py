@@ -39,6 +39,7 @@ from kinetix_dist.studio.server.run_service import RunService, UnknownRunError
 from kinetix_dist.studio.server.teaching import Teaching
 from kinetix_dist.studio.server.teaching_pages import TeachingPages
 from kinetix_dist.studio.server.verdict_pages import VerdictPages
+from kinetix_dist.studio.server.verdict_summaries import VerdictSummaries
 from kinetix_dist.studio.server.worker_client import WorkerClient, WorkerError
 from kinetix_dist.telemetry.curriculum_log import SnapshotError
 
@@ -68,6 +69,7 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
         if path.is_dir():
             service.add(path)
     worker = WorkerClient(is_allowed=config.has_play)
+    verdicts = VerdictSummaries()
     teaching = Teaching(config.editor.results, worker, service)
     channels: set[Channel] = set()
 
@@ -85,20 +87,21 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
 
     async def end_processes(app: web.Application) -> None:
         await teaching.cancel()
+        await verdicts.close()
         await worker.close()
 
     middlewares = [access.middleware, one_line_errors, _find_new_runs(service)]
     app = web.Application(middlewares=middlewares, client_max_size=MAX_BODY_BYTES)
     app.on_response_prepare.append(access.add_headers)
     rerun = RerunViewer(service, worker)
-    curricula = CurriculumPages(service)
+    curricula, evaluated = CurriculumPages(service), EvaluationPages(service, worker)
     for pages in (
-        RunPages(service),
+        RunPages(service, verdicts),
         ComparePages(service),
         curricula,
-        VerdictPages(service, curricula),
+        VerdictPages(service, curricula, evaluated),
         LevelPages(service, worker),
-        EvaluationPages(service, worker),
+        evaluated,
         EditorPages(config.editor, worker),
         TeachingPages(teaching),
         StaticFiles(),

@@ -17,14 +17,14 @@ import asyncio
 import io
 import json
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from aiohttp import web
 
-from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.studio.runs.evaluations import evaluations
-from kinetix_dist.studio.runs.failure_groups import SolvedLevels, failure_groups, families_of
+from kinetix_dist.studio.runs.failure_groups import groups_of_set
 from kinetix_dist.studio.runs.finetune_command import archive_stem, file_names, finetune_lines, has_checkpoint
 from kinetix_dist.studio.runs.level_changes import policy_points, with_changes
 from kinetix_dist.studio.server.level_pages import document_response, indices_of, thumbnails_response
@@ -67,13 +67,24 @@ class EvaluationPages:
         found = await asyncio.to_thread(_evaluated_set, path, name)
         if self._worker.is_off:  # as the page expects it there
             return json_response({"problem": NO_WORKER})
-        built = (await self._worker.request("evaluation_set", self._set(request))).content
-        if built["names"] != found["names"]:
+        built = await self.built_set(path, name, found["names"])
+        groupings = await asyncio.to_thread(
+            groups_of_set, name, found["names"], found["solved"], found["attempts"], built["features"]
+        )
+        return json_response({key: built[key] for key in ("size", "names", "features")} | {"groupings": groupings})
+
+    async def built_set(self, path: Path, name: str, names: Sequence[str]) -> dict[str, Any]:
+        """A set of a run {size, names, features}, built by the engine worker. Raises WorkerError.
+
+        Raises BadRequestError where its levels have other names than when they were evaluated.
+        """
+        fields = {"run": str(path.resolve()), "set": name}
+        built = (await self._worker.request("evaluation_set", fields)).content
+        if built["names"] != names:
             raise BadRequestError(
                 f"set {name} has other levels now than when the run was evaluated; restore them to see pictures of them"
             )
-        groupings = await asyncio.to_thread(_groupings, name, found, built["features"])
-        return json_response({key: built[key] for key in ("size", "names", "features")} | {"groupings": groupings})
+        return built
 
     async def thumbnails(self, request: web.Request) -> web.Response:
         indices = indices_of(request.query.get("indices", ""))
@@ -145,13 +156,6 @@ def _evaluated_set(path: Path, name: str) -> dict[str, Any]:
         raise BadRequestError(f"this run has no evaluation of single levels of {name!r}")
     newest = found["points"][numbers[-1]]
     return {"names": found["names"], "solved": newest["solved"], "attempts": newest["attempts"]}
-
-
-def _groupings(name: str, found: dict[str, Any], features: dict[str, list[float]]) -> list[dict[str, Any]]:
-    names = found["names"]
-    base = base_levels(name, names)
-    levels = SolvedLevels(solved=tuple(found["solved"]), attempts=found["attempts"], base_levels=tuple(base))
-    return failure_groups(levels, features, families_of(names, base))
 
 
 def _zipped(body: bytes) -> bytes:

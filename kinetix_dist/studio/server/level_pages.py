@@ -14,8 +14,9 @@ from typing import Any
 from aiohttp import web
 
 from kinetix_dist.studio.runs import run_files
-from kinetix_dist.studio.runs.first_buffer import first_buffer, first_outcomes
+from kinetix_dist.studio.runs.first_buffer import first_buffer, first_outcomes, next_probe
 from kinetix_dist.studio.runs.refreshes import Refreshes
+from kinetix_dist.studio.runs.run_index import status_of
 from kinetix_dist.studio.runs.snapshot_levels import level_history, level_page
 from kinetix_dist.studio.server.responses import (
     COMPRESS_FROM_BYTES,
@@ -180,12 +181,14 @@ class CurriculumPages:
         ]
 
     async def curriculum(self, request: web.Request) -> web.Response:
-        """Summaries of all snapshots, see `refreshes.Refreshes.summaries`; `expected`: sentences {buffer, outcomes}
-        about what is not there yet."""
+        """Summaries of all snapshots, see `refreshes.Refreshes.summaries`; `expected`: sentences {buffer, outcomes,
+        learned} about what is not there yet."""
         refreshes, path = self._of(request), self._service.path_of(request.match_info["run"])
 
         def answer() -> dict:
-            return refreshes.summaries() | {"expected": _expected(path)}
+            found = refreshes.summaries()
+            numbers = [entry["number"] for entry in found["snapshots"] if entry["kind"] == REFRESH]
+            return found | {"expected": _expected(path, numbers)}
 
         return json_response(await asyncio.to_thread(answer))
 
@@ -238,12 +241,13 @@ class CurriculumPages:
         return self._refreshes.setdefault(path, Refreshes(path))
 
 
-def _expected(path: Path) -> dict[str, str]:
-    """Sentences about the first buffer and the first counts of a run."""
+def _expected(path: Path, refreshes: list[int]) -> dict[str, str]:
+    """Sentences about the first buffer and the first counts of a run, and what was learned from its newest buffer."""
     try:
         config = run_files.read_config(path)
     except run_files.RunFileError as error:
-        return {"buffer": f"{error}.", "outcomes": f"{error}."}
+        return {"buffer": f"{error}.", "outcomes": f"{error}.", "learned": f"{error}."}
     last = run_files.last_row(path / run_files.METRICS, is_row=is_metrics_row).row or {}
     update = last.get("update")
-    return {"buffer": first_buffer(config, update), "outcomes": first_outcomes(config, update)}
+    learned = next_probe(config, refreshes, is_over=status_of(path).is_over) if refreshes else ""
+    return {"buffer": first_buffer(config, update), "outcomes": first_outcomes(config, update), "learned": learned}

@@ -17,9 +17,9 @@ from kinetix_dist.studio.runs.run_files import RunFileError, read_object
 from kinetix_dist.studio.runs.run_index import status_of
 from kinetix_dist.studio.runs.run_reader import RunReader
 from kinetix_dist.studio.runs.series import AXES, AxisError, axis_values, decimate, select, to_json
-from kinetix_dist.studio.runs.warnings import warnings_of
 from kinetix_dist.studio.server.responses import json_response, number
 from kinetix_dist.studio.server.run_service import RunService
+from kinetix_dist.studio.server.verdict_summaries import VerdictSummaries
 from kinetix_dist.telemetry.names import UnknownMetricError, describe
 from kinetix_dist.telemetry.sections import NORMAL, SECTIONS, section_of
 
@@ -30,8 +30,9 @@ DEFAULT_POINTS = 1500
 class RunPages:
     """Handlers of `api/runs...`."""
 
-    def __init__(self, service: RunService) -> None:
+    def __init__(self, service: RunService, verdicts: VerdictSummaries) -> None:
         self._service = service
+        self._verdicts = verdicts
         self._processes: dict[Path, Processes] = {}
 
     def routes(self) -> list[web.RouteDef]:
@@ -45,11 +46,14 @@ class RunPages:
         ]
 
     async def runs(self, request: web.Request) -> web.Response:
-        rows = await self._service.summaries()
+        """Summaries, see `run_index.summary`, with `verdict` {outcome, rank, state, heading}; null: not judged yet."""
+        found = await self._service.summaries()
+        verdicts = await self._verdicts.of(found)
+        rows = [row | {"verdict": verdict} for row, verdict in zip(found, verdicts, strict=True)]
         return json_response({"runs": rows, "problems": self._service.index.problems})
 
     async def run(self, request: web.Request) -> web.Response:
-        """Config, status, report, warnings, and the metrics of the run with unit and meaning."""
+        """Config, status, report, and the metrics of the run with unit and meaning."""
         run_id = request.match_info["run"]
         reader = await self._service.reader(run_id)
         return json_response({"id": run_id} | await asyncio.to_thread(_describe_run, reader))
@@ -96,12 +100,6 @@ def _describe_run(reader: RunReader) -> dict[str, Any]:
             problems.append(str(error))
             return None
 
-    try:
-        evaluated = evaluations(path)
-        problems += evaluated["problems"]
-    except RunFileError as error:
-        evaluated = None
-        problems.append(str(error))
     status = status_of(path)
     problems += [status.problem] if status.problem is not None else []
     with reader.lock:
@@ -113,7 +111,6 @@ def _describe_run(reader: RunReader) -> dict[str, Any]:
             "report": read(run_files.REPORT),
             "metrics": {name: _describe_metric(name) for name in reader.table.names},
             "sections": list(SECTIONS),
-            "warnings": warnings_of(reader.table, evaluated),
             "problems": problems,
             "rows": reader.table.num_rows,
         }

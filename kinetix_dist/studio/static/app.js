@@ -33,7 +33,7 @@ function App() {
       <a href="#/runs" aria-current=${area === "runs" ? "page" : null}>Runs</a>
       <a href="#/compare" aria-current=${area === "compare" ? "page" : null}>Compare</a>
       <a href="#/edit" aria-current=${area === "edit" ? "page" : null}>Editor</a>
-      ${run ? html`<span class="of">${run}</span>
+      ${run ? html`<span class="of" title=${run}>${run}</span>
         ${Object.entries(RUN_PAGES).map(([key, [label]]) => html`<a key=${key} href=${addressOf(["run", run, key], shared(query))}
           aria-current=${page === key ? "page" : null}>${label}</a>`)}` : null}
       <span class="space"></span>

@@ -32,7 +32,7 @@ export const GLOSSARY = {
       "buffer",
       "level buffer"
     ],
-    "text": "levels that a curriculum has chosen, from which a share of the worlds is drawn; the others play fresh random levels"
+    "text": "levels that a curriculum has chosen, from which a share of the worlds is drawn; the others play fresh random levels. Buffer 80 was chosen by refresh 80"
   },
   "bundled": {
     "names": [
@@ -64,6 +64,30 @@ export const GLOSSARY = {
       "curriculum"
     ],
     "text": "what chooses the levels of each update: SFL, PLR, ACCEL, PAIRED, domain randomization, a fixed set, or your own"
+  },
+  "designed": {
+    "names": [
+      "designed_s",
+      "designed_m",
+      "designed_l"
+    ],
+    "text": "held-out sets of the first five hand-made levels of a size; they never change"
+  },
+  "dev-designed": {
+    "names": [
+      "dev_designed_s",
+      "dev_designed_m",
+      "dev_designed_l"
+    ],
+    "text": "held-out sets of eight variants of each of our hand-made levels of a size: in a mirror, with other gravity, masses, friction and strength. Intervals are over the levels, not their variants"
+  },
+  "dev-random": {
+    "names": [
+      "dev_random_s",
+      "dev_random_m",
+      "dev_random_l"
+    ],
+    "text": "held-out sets of 2,048 random levels, none of them in random_s and so on: for choosing settings"
   },
   "dormant": {
     "names": [
@@ -121,6 +145,13 @@ export const GLOSSARY = {
       "fresh sample"
     ],
     "text": "a sample that is learned from once and thrown away: one epoch over many worlds, since the engine is cheap"
+  },
+  "frontier": {
+    "names": [
+      "frontier_s",
+      "frontier_m"
+    ],
+    "text": "held-out sets of 512 random levels that random actions rarely solve and at least one of six trained policies does: the levels that tell policies apart. A rate there is no rate of all random levels"
   },
   "gain": {
     "names": [
@@ -195,11 +226,19 @@ export const GLOSSARY = {
     ],
     "text": "the policy that draws every action evenly: the rate that a trained policy has to beat"
   },
+  "random-set": {
+    "names": [
+      "random_s",
+      "random_m",
+      "random_l"
+    ],
+    "text": "held-out sets of 256 random levels, drawn once as the generator draws them. Random actions solve about 35 % of those of S, so a rate is read against theirs"
+  },
   "refresh": {
     "names": [
       "refresh"
     ],
-    "text": "the work of drawing candidates, scoring them with the policy of now, and making the next buffer"
+    "text": "the work of drawing candidates, scoring them with the policy of now, and making the next buffer. One number names all of it: refresh 80 scores with the policy of update 80 (its policy version), makes buffer 80, and is in use from a later update on, when it is adopted"
   },
   "replay-buffer": {
     "names": [

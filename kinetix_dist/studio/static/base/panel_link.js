@@ -2,7 +2,7 @@
 import { useEffect } from "./html.js";
 
 const LOOK_MS = 100;
-const OPEN_AFTER_MS = 1500; // without the panel: it may be in a folded section
+const OPEN_AFTER_MS = 700; // without the panel: it may be in a folded section
 const STEADY_MS = 1500; // charts above it are still drawn, which moves it
 const GIVE_UP_MS = 10_000;
 const BY_THE_READER = ["wheel", "touchstart", "keydown", "pointerdown"]; // who scrolls from then on
@@ -13,7 +13,7 @@ export function usePanelOfAddress({ parts, query }) {
   useEffect(() => (title ? showPanel(title) : undefined), [parts.join("/"), title]);
 }
 
-/** Scrolls to a panel by its title, or how that begins. @param {string} title @returns {() => void} ends it */
+/** Scrolls to a panel by its title, how that begins, or a metric that it shows. @param {string} title @returns {() => void} ends it */
 export function showPanel(title) {
   const start = performance.now();
   let foundAt = 0;
@@ -42,9 +42,11 @@ export function showPanel(title) {
   return stop;
 }
 
-/** The panel whose title is this, else one that begins with these words. @param {string} title */
+/** The panel whose title is this, else one that shows the metric of this name, or begins with these words. @param {string} title */
 function findPanel(title) {
   const panels = /** @type {HTMLElement[]} */ ([...document.querySelectorAll("[data-panel]")]);
+  const shows = panels.find((panel) => panel.dataset.metrics?.split(" ").includes(title));
+  if (shows) return shows;
   const begins = panels.filter((panel) => panel.dataset.panel?.startsWith(title));
   return begins.find((panel) => panel.dataset.panel === title)
     ?? begins.find((panel) => !/^\w/.test(panel.dataset.panel?.slice(title.length) ?? "")) ?? begins[0];

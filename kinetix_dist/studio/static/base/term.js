@@ -5,8 +5,9 @@ import { html, useEffect, useRef } from "./html.js";
 
 /** Entries by their names in lower case. */
 const BY_NAME = new Map(Object.values(GLOSSARY).flatMap((entry) => entry.names.map((name) => [name.toLowerCase(), entry])));
-/** Names in a text, the longest first; those in brackets ("role (of a shape)") are too ambiguous to be found in one. */
-const IN_TEXT = new RegExp(`\\b(${[...BY_NAME.keys()].filter((name) => !name.includes("(")).sort((a, b) => b.length - a.length).map((name) => name.replace(/[.*+?^${}|[\]\\]/g, "\\$&")).join("|")})(s)?\\b`, "gi");
+/** Names in a text, the longest first; those in brackets ("role (of a shape)") are too ambiguous to be found in one. Parts of
+ * settings and of files ("evaluation.every", "curriculum/outcomes.jsonl") are none. */
+const IN_TEXT = new RegExp(`(?<![\\w./-])(${[...BY_NAME.keys()].filter((name) => !name.includes("(")).sort((a, b) => b.length - a.length).map((name) => name.replace(/[.*+?^${}|[\]\\]/g, "\\$&")).join("|")})(s)?(?![\\w-]|[./]\\w)`, "gi");
 const CLOSE_MS = 150; // for the pointer to get from the word to the box
 const MARGIN = 8;
 
@@ -38,14 +39,14 @@ export function Term({ name, children }) {
   return html`<button type="button" class="term" ref=${word} onMouseEnter=${here} onMouseLeave=${closeSoon} onFocus=${here} onBlur=${() => close(word.current)} onClick=${click}>${children ?? name}</button>`;
 }
 
-/** A text whose terms are words of the glossary, each where it appears first. @param {{ text: string }} props */
-export function Terms({ text }) {
+/** A text whose terms are words of the glossary, each where it appears first: in this text, or in all that share `seen`.
+ * @param {{ text: string, seen?: Set<object> }} props */
+export function Terms({ text, seen = new Set() }) {
   const parts = [];
-  const seen = new Set();
   let from = 0;
   for (const match of text.matchAll(IN_TEXT)) {
     const entry = BY_NAME.get(match[1].toLowerCase());
-    if (seen.has(entry)) continue;
+    if (!entry || seen.has(entry)) continue;
     seen.add(entry);
     parts.push(text.slice(from, match.index), html`<${Term} name=${match[1]}>${match[0]}</${Term}>`);
     from = match.index + match[0].length;

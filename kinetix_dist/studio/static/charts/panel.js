@@ -7,11 +7,11 @@ import { Explanation } from "./explanation.js";
 
 /**
  * `rows` makes the table behind the picture, its first row the header. `missing`: a line instead of a picture, where a
- * run lacks what the panel shows. The picture is the first canvas in the panel; `picture` false: there is none.
+ * run lacks what the panel shows. `metrics`: that it shows, by which links find it. The picture is the first canvas in the panel; `picture` false: there is none.
  * @param {{ title: string, help?: any, missing?: string | null, rows?: () => (string | number | null)[][],
- *   buttons?: any, wide?: boolean, picture?: boolean, name?: string, children?: any }} props
+ *   buttons?: any, wide?: boolean, metrics?: string[], picture?: boolean, name?: string, children?: any }} props
  */
-export function Panel({ title, help, missing, rows, buttons, wide, picture = true, name, children }) {
+export function Panel({ title, help, missing, rows, buttons, wide, picture = true, name, metrics, children }) {
   const element = useRef(/** @type {HTMLElement | null} */ (null));
   const fileName = (name ?? title).replace(/\W+/g, "_");
   const saveCsv = () => rows && download(`${fileName}.csv`, csv(rows()));
@@ -19,7 +19,7 @@ export function Panel({ title, help, missing, rows, buttons, wide, picture = tru
     const canvas = element.current?.querySelector("canvas");
     if (canvas) pngOf(canvas, title).toBlob((blob) => blob && download(`${fileName}.png`, blob));
   };
-  return html`<section class=${`panel${wide ? " wide" : ""}`} ref=${element} data-panel=${title}>
+  return html`<section class=${`panel${wide ? " wide" : ""}`} ref=${element} data-panel=${title} data-metrics=${metrics?.join(" ")}>
     <header>
       <h3><${Terms} text=${title} /></h3>
       <span class="buttons">

@@ -25,7 +25,10 @@ export function CurriculumPage({ run }) {
   if (!data) return html`<main><${Notes} notes=${error ? [error] : []} /><p class="missing">${error ? "" : "reading snapshots ..."}</p></main>`;
   const refreshes = data.snapshots.filter((/** @type {any} */ entry) => entry.kind === "refresh");
   const buffers = data.snapshots.filter((/** @type {any} */ entry) => entry.kind === "buffer");
-  const chosen = refreshes.find((/** @type {any} */ entry) => String(entry.number) === query.get("refresh")) ?? refreshes.at(-1);
+  const newest = refreshes.at(-1);
+  const learned = refreshes.findLast((/** @type {any} */ entry) => entry.probe); // later ones were not played again yet
+  const chosen = refreshes.find((/** @type {any} */ entry) => String(entry.number) === query.get("refresh"))
+    ?? learned ?? refreshes.at(-1);
   return html`<main>
     <${Notes} notes=${[...(error ? [error] : []), ...data.problems]} />
     ${data.snapshots.length ? null : html`<p class="missing">${NO_SNAPSHOTS} ${data.expected.buffer}</p>`}
@@ -38,12 +41,13 @@ export function CurriculumPage({ run }) {
     </div>
     ${chosen ? html`<h3 class="section"><${Term} name="refresh">Refresh</${Term}> ${chosen.number}${" "}
       <select aria-label="refresh" onChange=${(/** @type {any} */ e) => setQuery({ refresh: e.target.value })}>
-        ${refreshes.map((/** @type {any} */ entry) => html`<option key=${entry.number} value=${entry.number} selected=${entry === chosen}>scored by version ${entry.number}, in use from update ${entry.first_batch}</option>`)}
+        ${refreshes.map((/** @type {any} */ entry) => html`<option key=${entry.number} value=${entry.number} selected=${entry === chosen}>scored by the policy of update ${entry.number}, in use from update ${entry.first_batch}${entry.probe ? "" : ", what was learned is not known"}</option>`)}
       </select> <a class="button" href=${addressOf(["run", run, "levels"], new URLSearchParams({ of: `refresh ${chosen.number}` }))}>its levels</a></h3>
+      ${chosen !== newest && chosen === learned ? html`<p class="soft">It is the newest whose learning is known. The newest of all is <button class="link" onClick=${() => setQuery({ refresh: String(newest.number) })}>refresh ${newest.number}</button>. ${data.expected.learned}</p>` : null}
       <div class="grid two">
         <${Histogram} run=${run} entry=${chosen} />
         <${Counts} run=${run} entry=${chosen} />
-        <${Learned} run=${run} entry=${chosen} />
+        <${Learned} run=${run} entry=${chosen} expected=${chosen === newest ? data.expected.learned : "The refresh after it played no levels again (curriculum_log.probe_every)."} />
       </div><div class="grid">
         ${Object.keys(chosen.by_feature).map((name) => html`<${ByFeature} key=${name} run=${run} name=${name} entry=${chosen} />`)}
       </div>` : null}
@@ -80,13 +84,13 @@ function Learnability({ run, refreshes }) {
     ...pairLines(refreshes),
   ];
   const last = refreshes.findLast((entry) => entry.training);
-  const rows = () => [["version", "in_use_from", "claimed_buffer", "episodes", "fresh", "fresh_standard_error", "training", "standard_error", "levels_played_twice", "attempts_in_training", ...PAIR_COLUMNS],
+  const rows = () => [["refresh", "in_use_from", "claimed_buffer", "episodes", "fresh", "fresh_standard_error", "training", "standard_error", "levels_played_twice", "attempts_in_training", ...PAIR_COLUMNS],
     ...refreshes.map((entry) => [entry.number, entry.first_batch, entry.buffer.claimed, entry.buffer.episodes, entry.candidates.learnability, entry.candidates.learnability_error, entry.training?.learnability ?? null, entry.training?.learnability_error ?? null, entry.training?.learnability_levels ?? null, entry.training?.episodes ?? null, ...pairCells(entry.fresh_pairs)])];
   return html`<${Panel} title="Learnability p (1 - p): claimed and in training" rows=${rows} name=${`${run} learnability`}
     help="Claimed: from the few episodes by which levels were chosen, so too high. In training: s (f - s) / (f (f - 1)) of s solved of f attempts, over levels played twice or more. Fresh levels: the same of all candidates, where each finished two episodes or more; in training, half of the share of pairs of worlds with the same fresh level of which one solved it. Bands 95 %.">
     <${LineChart} x=${x} lines=${lines} axis="in use from update" />
     <${PairsText} entries=${refreshes} />
-    <p class="keys">${last ? `version ${last.number}: claimed ${short(last.buffer.claimed)} (${count(last.buffer.episodes, "episode")} of ${count(last.buffer.levels, "level")}), in training ${short(last.training.learnability)} (${count(last.training.episodes, "attempt")}, ${count(last.training.learnability_levels, "level")} played twice or more)` : "No buffer was played to the end of a window yet."}</p>
+    <p class="keys">${last ? `buffer ${last.number}: claimed ${short(last.buffer.claimed)} (${count(last.buffer.episodes, "episode")} of ${count(last.buffer.levels, "level")}), in training ${short(last.training.learnability)} (${count(last.training.episodes, "attempt")}, ${count(last.training.learnability_levels, "level")} played twice or more)` : "No buffer was played to the end of a window yet."}</p>
   </${Panel}>`;
 }
 
@@ -128,8 +132,8 @@ function Distribution({ run, refreshes, chosen }) {
   const order = [...Array(num).keys()].reverse();
   const total = (/** @type {any} */ entry) => entry.buffer.histogram.reduce((/** @type {number} */ a, /** @type {number} */ b) => a + b, 0);
   const values = order.map((k) => refreshes.map((entry) => (total(entry) ? entry.buffer.histogram[k] / total(entry) : null)));
-  const texts = order.map((k) => refreshes.map((entry) => `version ${entry.number}: ${entry.buffer.histogram[k]} of ${count(total(entry), "level")} with ${label(k)}, ${count(entry.buffer.episodes, "episode")} in all`));
-  const rows = () => [["version", ...order.map(label)], ...refreshes.map((entry) => [entry.number, ...order.map((k) => entry.buffer.histogram[k])])];
+  const texts = order.map((k) => refreshes.map((entry) => `buffer ${entry.number}: ${entry.buffer.histogram[k]} of ${count(total(entry), "level")} with ${label(k)}, ${count(entry.buffer.episodes, "episode")} in all`));
+  const rows = () => [["refresh", ...order.map(label)], ...refreshes.map((entry) => [entry.number, ...order.map((k) => entry.buffer.histogram[k])])];
   return html`<${Panel} title="Solve rates of the buffer's levels over time" help="share of levels a bin, % ; click a column" rows=${rows} name=${`${run} p over time`}>
     <${HeatMap} rows=${order.map(label)} columns=${refreshes.map((entry) => String(entry.number))} values=${values} texts=${texts} labelWidth=${90}
       chosen=${refreshes.indexOf(chosen)} choose=${(/** @type {number} */ _, /** @type {number} */ c) => setQuery({ refresh: String(refreshes[c].number) })}
@@ -146,7 +150,7 @@ function Persistence({ run, snapshots }) {
   const later = snapshots.filter((entry) => entry.retained !== undefined);
   const retained = later.map((entry) => entry.retained);
   const isPlain = later.length && retained.every((count) => count === 0);
-  const rows = () => [["version", "retained", "levels"], ...later.map((entry) => [entry.number, entry.retained, entry.num_levels])];
+  const rows = () => [["refresh", "retained", "levels"], ...later.map((entry) => [entry.number, entry.retained, entry.num_levels])];
   return html`<${Panel} title="What persists from refresh to refresh" help="levels that the buffer before had too" rows=${rows} name=${`${run} persistence`}
     missing=${later.length ? null : "There is one refresh so far."}>
     ${isPlain ? html`<p>0 of ${count(later.at(-1).num_levels, "level")}, ${later.length === 1 ? "in the one refresh" : `in each of ${later.length} refreshes`} after the first. Plain SFL draws all candidates afresh, so that no level persists, by construction.</p>`
@@ -199,8 +203,8 @@ function Counts({ run, entry }) {
     ${beyond ? html`<p class="soft">${count(beyond, "candidate")} finished more than ${most} ${noun(most, "episode")}; the CSV has them.</p>` : null}</${Panel}>`;
 }
 
-/** @param {{ run: string, entry: any }} props */
-function Learned({ run, entry }) {
+/** @param {{ run: string, entry: any, expected: string }} props expected: why it is not known, or when it will be */
+function Learned({ run, entry, expected }) {
   const probe = entry.probe;
   const rows = () => [["before", "after", "levels"], ...probe.moves.map((/** @type {number[]} */ [a, b, n]) => [MOVES[a], MOVES[b], n])];
   const total = probe ? probe.moves.reduce((/** @type {number} */ sum, /** @type {number[]} */ row) => sum + row[2], 0) : 0;
@@ -208,9 +212,9 @@ function Learned({ run, entry }) {
   const texts = MOVES.map((before, a) => MOVES.map((after, b) => `${before} before, ${after} after: ${probe?.moves.find((/** @type {number[]} */ row) => row[0] === a && row[1] === b)?.[2] ?? 0} of ${count(total, "level")}`));
   return html`<${Panel} title="What was learned from this buffer" rows=${rows} name=${`${run} learned ${entry.number}`}
     help="the same levels, played again by the policy of the next refresh"
-    missing=${probe ? null : "Nothing was played again: the next refresh is not there yet, or it plays no levels again (curriculum_log.probe_every, probe_levels)."}>
+    missing=${probe ? null : expected}>
     ${probe ? html`<p>${rateOverLevels(probe.before)} when they were chosen, ${" "}
-      ${rateOverLevels(probe.after)} by version ${probe.policy_version}${" "}
+      ${rateOverLevels(probe.after)} at refresh ${probe.policy_version}${" "}
       (95 % interval ${percent(probe.after.low)} to ${percent(probe.after.high)}); learnability now ${short(probe.after_learnability)}.
       Of the difference a part is chance, since few episodes chose these levels: the first window of training shows how much.</p>
       <${HeatMap} rows=${MOVES.map((name) => `${name} before`)} columns=${MOVES.map((name) => `${name}`)} values=${values} texts=${texts} labelWidth=${140} cellWidth=${90} cellHeight=${24} describe="levels by solve rate before and after" />` : null}

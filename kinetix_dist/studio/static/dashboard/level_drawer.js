@@ -31,7 +31,7 @@ function History({ own, changes }) {
   const rows = [
     ...data.snapshots.map((/** @type {any} */ one) => ({ update: one.update, what: one.scored ? `scored, refresh ${one.number}` : `in ${one.kind} ${one.number}, score ${short(one.score)}`, counts: one.scored })),
     ...data.windows.map((/** @type {any} */ one) => ({ update: one.update, what: `trained on, updates ${one.from_update} to ${one.update}`, counts: one })),
-    ...data.played_again.map((/** @type {any} */ one) => ({ update: one.policy_version, what: `played again by version ${one.policy_version}`, counts: one })),
+    ...data.played_again.map((/** @type {any} */ one) => ({ update: one.policy_version, what: `played again at refresh ${one.policy_version}`, counts: one })),
   ].sort((a, b) => a.update - b.update);
   const of = (/** @type {string} */ field) => data.windows.map((/** @type {any} */ one) => one[field]);
   return html`<section data-panel="history"><h3>History</h3>

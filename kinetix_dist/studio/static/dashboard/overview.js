@@ -1,4 +1,4 @@
-// Overview of a run: state, warnings, curves in sections, evaluations, events.
+// Overview of a run: verdict, state, curves in sections, evaluations, events.
 import { addressOf, useAddress } from "../base/address.js";
 import { get, useRequest } from "../base/api.js";
 import { duration, interval, percent, short } from "../base/format.js";
@@ -17,19 +17,19 @@ import { Verdict } from "./verdict.js";
 import { LogButton, useView, ViewBar, zoom } from "./view.js";
 
 const SHOWN_EVENTS = 200;
-const DESCRIBE_MS = 3000; // between looks at what is not sent row by row: state, warnings, evaluations
+const DESCRIBE_MS = 3000; // between looks at what is not sent row by row: state, evaluations
 
 /** @param {{ run: string }} props */
 export function OverviewPage({ run }) {
   const view = useView();
   const find = useAddress().query.get("find") ?? "";
-  const [folded, fold] = useFolded();
+  const [isOpen, fold] = useFolded();
   const [unfolded, setUnfolded] = useState(/** @type {string[]} */ ([])); // sections whose further metrics are shown
   const [described, setDescribed] = useState(0); // changes of which the description knows
   const about = useRequest(() => get(`runs/${encodeURIComponent(run)}`), [run, described]);
   const metrics = about.data?.metrics ?? {};
   const names = Object.keys(metrics);
-  const sections = sectionsOf(metrics, about.data?.sections ?? [], { find, folded, unfolded });
+  const sections = sectionsOf(metrics, about.data?.sections ?? [], { find, isOpen, unfolded });
   const shown = sections.filter((section) => section.isOpen).flatMap((section) => [...section.panels, ...(section.hasOthers ? section.others : [])]);
   const watched = names.filter((name) => metrics[name].normal); // of folded sections too: what is outside is said
   const wanted = [...new Set(["progress/env_steps", "progress/env_steps_per_second", ...watched, ...shown.flatMap((panel) => panel.names)])];
@@ -54,7 +54,6 @@ export function OverviewPage({ run }) {
     ${verdict}
     <${Facts} data=${data} curves=${curves} />
     <${Notes} notes=${notes} />
-    <${Warnings} warnings=${data.warnings} />
     <${ViewBar} view=${view}><${MetricSearch} find=${find} /></${ViewBar}>
     ${names.length ? null : html`<p class="missing">No metrics so far (metrics/metrics.jsonl); they come with the first update.</p>`}
     ${find && !sections.length ? html`<p class="missing">No metric of this run has "${find.trim()}" in its name, unit or meaning.</p>` : null}
@@ -79,15 +78,15 @@ const EVALUATED = "evaluation: solve rates of held-out levels, 95 % intervals, r
 /**
  * Sections that have something to show, with their panels and further metrics; those that a search finds, all open.
  * @param {Record<string, any>} metrics @param {string[]} titles
- * @param {{ find: string, folded: Set<string>, unfolded: string[] }} chosen
+ * @param {{ find: string, isOpen: (title: string) => boolean, unfolded: string[] }} chosen
  */
-function sectionsOf(metrics, titles, { find, folded, unfolded }) {
+function sectionsOf(metrics, titles, { find, isOpen, unfolded }) {
   const { panels, others } = panelsOf(Object.keys(metrics));
   return titles.map((title, index) => {
     const isHere = (/** @type {import("./metric_panels.js").MetricPanel} */ panel) => metrics[panel.names[0]].section === title
       && (!find || isFound(find, [panel.title, panel.help, ...panel.names.flatMap((name) => textsOf(name, metrics[name]))]));
     const section = { title, panels: panels.filter(isHere), others: others.filter(isHere), hasEvaluations: index === 0 && (!find || isFound(find, [EVALUATED])) };
-    return { ...section, isOpen: Boolean(find) || !folded.has(title), hasOthers: Boolean(find) || unfolded.includes(title) };
+    return { ...section, isOpen: Boolean(find) || isOpen(title), hasOthers: Boolean(find) || unfolded.includes(title) };
   }).filter((section) => section.panels.length || section.others.length || section.hasEvaluations);
 }
 
@@ -116,15 +115,6 @@ function Facts({ data, curves }) {
   return html`<dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value}</dd></div>`)}</dl>`;
 }
 
-/** @param {{ warnings: { metric: string, rule: string, finding: string, remedy: string }[] }} props */
-function Warnings({ warnings }) {
-  if (!warnings.length) return null;
-  return html`<section class="warnings" role="status" data-panel="warnings"><h3>⚠ ${count(warnings.length, "warning")}</h3><ul>
-    ${warnings.map((warning) => html`<li key=${warning.metric}><b>${warning.metric}</b> ${warning.finding}
-      <span class="soft"> (rule: ${warning.rule})</span>${warning.remedy ? html`<br /><span class="soft">${warning.remedy}</span>` : null}</li>`)}
-  </ul></section>`;
-}
-
 /** @param {{ panel: import("./metric_panels.js").MetricPanel, curves: any, view: any, metrics: any, run: string }} props */
 function MetricPanel({ panel, curves, view, metrics, run }) {
   const names = panel.names.filter((name) => curves?.series[name]);
@@ -137,7 +127,7 @@ function MetricPanel({ panel, curves, view, metrics, run }) {
   const normal = panel.names.length === 1 ? metrics[panel.names[0]].normal?.high : null;
   const rows = () => [[view.axis, ...names], ...curves.x.map((/** @type {number} */ x, /** @type {number} */ k) => [x, ...names.map((name) => curves.series[name].mean[k])])];
   const title = units.length === 1 ? `${panel.title} (${units[0]})` : panel.title;
-  return html`<${Panel} title=${title} help=${help} rows=${rows} name=${`${run} ${panel.title}`} wide=${panel.wide}
+  return html`<${Panel} title=${title} help=${help} rows=${rows} name=${`${run} ${panel.title}`} wide=${panel.wide} metrics=${panel.names}
     buttons=${panel.stacked ? null : html`<${LogButton} name=${panel.title} log=${view.log} />`}>
     ${curves ? html`<${LineChart} x=${curves.x} lines=${lines} axis=${curves.unit} events=${curves.events} stacked=${panel.stacked} smoothing=${view.smooth} normal=${normal}
       log=${view.log.has(panel.title)} range=${[view.from, view.to]} onZoom=${zoom} />

@@ -27,7 +27,7 @@ export function ReplaysPage({ run }) {
     ${data && !data.files.length ? html`<p class="missing">No rollouts so far (recordings/*.mcap). They are recorded after training, and every recording.every updates.</p>` : null}
     <div class="replays">
       ${rollout.data && palette.data ? html`<section class="panel" data-panel="player"><header><h3>${rollout.data.name}</h3>
-          <span class="help">${rollout.data.policy_version < 0 ? "random actions" : `policy version ${rollout.data.policy_version}`}, seed ${rollout.data.seed}; states as they were recorded</span></header>
+          <span class="help">${rollout.data.policy_version < 0 ? "random actions" : `policy of update ${rollout.data.policy_version}`}, seed ${rollout.data.seed}; states as they were recorded</span></header>
         <${Player} key=${chosen} rollout=${rollout.data} palette=${palette.data} />
         ${entry ? html`<p class="soft">On a terminal: <code>kinetix-dist replay ${entry.path} --index ${index} --view</code></p>` : null}</section>` : null}
       <div class="scroll">${(data?.files ?? []).map((/** @type {any} */ one) => html`<table key=${one.file}><thead><tr><th colspan="5">${one.file}, ${date(one.modified)}, ${short(one.bytes)}B</th></tr></thead><tbody>
@@ -35,7 +35,7 @@ export function ReplaysPage({ run }) {
           const name = `${encodeURIComponent(one.file)}/${r.index}`;
           return html`<tr key=${name} class=${name === chosen ? "chosen" : ""}><td><button class="link" onClick=${() => setQuery({ rollout: name })}>${r.index}. ${r.name}</button></td>
             <td>${r.outcome === "solved" ? "✓ " : ""}${r.outcome}</td><td class="number">${count(r.num_steps, "step")}</td><td class="number">return ${r.return.toFixed(2)}</td>
-            <td>${r.policy_version < 0 ? "random" : `version ${r.policy_version}`}</td></tr>`;
+            <td>${r.policy_version < 0 ? "random" : `update ${r.policy_version}`}</td></tr>`;
         })}</tbody></table>`)}</div>
     </div>
     ${rollout.data ? html`<${Rerun} key=${`rerun ${chosen}`} address=${`${base}/${chosen}`} />` : null}

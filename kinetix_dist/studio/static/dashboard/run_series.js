@@ -9,7 +9,7 @@ import { useEffect, useRef, useState } from "../base/html.js";
  *   events: { x: number, event: string, number: number }[] }} Curves
  */
 
-const POINTS = 800;
+const POINTS = 400; // about one a pixel of a chart in the grid: more cost time in the server and in the browser, unseen
 const REFETCH_MS = 2000;
 /** @type {Record<string, string | null>} */
 const AXIS_METRIC = { env_steps: "progress/env_steps", updates: "update", seconds: "progress/seconds", time: null };

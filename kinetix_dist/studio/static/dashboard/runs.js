@@ -6,8 +6,10 @@ import { html, useEffect, useState } from "../base/html.js";
 import { count } from "../base/language.js";
 import { SortableTable, sortOf } from "../base/sortable_table.js";
 import { Notes, State } from "./parts.js";
+import { Mark } from "./verdict.js";
 
 const REFRESH_MS = 5000;
+const JUDGED_MS = 1000; // while runs are judged that have no verdict yet
 const NEWEST_FIRST = "-state";
 
 export function RunsPage() {
@@ -18,16 +20,28 @@ export function RunsPage() {
   const [filter, setFilter] = useState("");
   useEffect(() => {
     let isHere = true;
-    const load = () =>
-      get("runs").then(
-        (found) => isHere && (setAnswer(found), setError(null)),
-        (problem) => isHere && setError(problem.message),
-      );
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    let timer;
+    const load = async () => {
+      let wait = REFRESH_MS;
+      if (!document.hidden) {
+        try {
+          const found = await get("runs");
+          if (!isHere) return;
+          if (found.runs.some((/** @type {any} */ run) => !run.verdict)) wait = JUDGED_MS;
+          setAnswer(found);
+          setError(null);
+        } catch (problem) {
+          if (!isHere) return;
+          setError(/** @type {Error} */ (problem).message);
+        }
+      }
+      timer = setTimeout(load, wait);
+    };
     load();
-    const timer = setInterval(() => !document.hidden && load(), REFRESH_MS);
     return () => {
       isHere = false;
-      clearInterval(timer);
+      clearTimeout(timer);
     };
   }, []);
   if (!answer) return html`<${Notes} notes=${error ? [error] : []} /><p class="missing">${error ? "" : "reading runs ..."}</p>`;
@@ -57,6 +71,7 @@ function columnsOf(chosen, choose) {
       <a href=${addressOf(["run", run.id, "overview"])} title=${run.path}>${run.id}</a>
       ${run.problems.map((/** @type {string} */ problem) => html`<div key=${problem} class="bad problem">${problem}</div>`)}` },
     { key: "state", title: "state", help: "sorted by when it was last written", value: (run) => run.status.time ?? run.modified, cell: (run) => html`<${State} status=${run.status} />` },
+    { key: "verdict", title: "verdict", help: "is it working? A word; all of it on the overview. Sorted from the worst to the best", value: (run) => run.verdict?.rank, cell: (run) => html`<${Word} run=${run} />` },
     { key: "recipe", title: "recipe", value: (run) => run.name, cell: (run) => run.name ?? "-" },
     { key: "env_steps", title: "env steps", term: "env step", isNumber: true, value: last("progress/env_steps"), cell: (run) => `${short(run.last?.["progress/env_steps"])}${progress(run)}` },
     { key: "update", title: "update", term: "update", isNumber: true, value: last("update"), cell: (run) => run.last?.update ?? "-" },
@@ -64,6 +79,13 @@ function columnsOf(chosen, choose) {
     { key: "training", title: "training solve rate", term: "training solve rate", help: "of the last update, first episodes on buffer and fresh levels together", isNumber: true, value: last("train/solve_rate"), cell: (run) => trained(run.last) },
     { key: "evaluated", title: "evaluated", term: "evaluation", help: "of the first set of the last evaluation, with its 95 % interval and episodes; Compare has all sets", isNumber: true, value: (run) => firstRate(run)[1]?.rate, cell: evaluated },
   ];
+}
+
+/** The verdict in a word, the sentence on hovering. @param {{ run: any }} props */
+function Word({ run }) {
+  if (!run.verdict) return html`<span class="soft" title="it is being judged">…</span>`;
+  const { outcome, state, heading } = run.verdict;
+  return html`<a class="word" href=${addressOf(["run", run.id, "overview"])} title=${heading}><${Mark} state=${state} /> ${outcome}</a>`;
 }
 
 /** @param {any} run */

@@ -1,19 +1,22 @@
-// Sections of a page that fold: what is folded stays so, in this browser, for all runs.
+// Sections of a page that fold. What a reader folds or opens stays so, in this browser, for all runs.
 import { html, useState } from "../base/html.js";
 
-const STORED = "kinetix-dist folded sections";
+export const NARROW = "(max-width: 600px)"; // a phone: all sections are folded at first
+const STORED = { wide: "kinetix-dist folded sections", narrow: "kinetix-dist open sections" }; // those that are not as at first
 
-/** Titles of folded sections, and a function that folds one or opens it. @returns {[Set<string>, (title: string, isOpen: boolean) => void]} */
+/** Says whether a section is open, by its title, and folds one or opens it. @returns {[(title: string) => boolean, (title: string, isOpen: boolean) => void]} */
 export function useFolded() {
-  const [folded, set] = useState(() => new Set((localStorage.getItem(STORED) ?? "").split(",").filter(Boolean)));
+  const [isNarrow] = useState(() => matchMedia(NARROW).matches);
+  const key = isNarrow ? STORED.narrow : STORED.wide;
+  const [changed, set] = useState(() => new Set((localStorage.getItem(key) ?? "").split(",").filter(Boolean)));
   const fold = (/** @type {string} */ title, /** @type {boolean} */ isOpen) => set((now) => { // several may come at once
     const next = new Set(now);
-    if (isOpen) next.delete(title);
-    else next.add(title);
-    localStorage.setItem(STORED, [...next].join(","));
+    if (isOpen === isNarrow) next.add(title);
+    else next.delete(title);
+    localStorage.setItem(key, [...next].join(","));
     return next;
   });
-  return [folded, fold];
+  return [(title) => changed.has(title) === isNarrow, fold];
 }
 
 /** `note`: what is to be seen of a folded section. Contents exist while it is open.

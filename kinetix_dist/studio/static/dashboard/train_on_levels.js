@@ -1,6 +1,7 @@
 // Chosen levels of evaluation sets as a command that trains on them, and as level files.
 import { get, useRequest } from "../base/api.js";
-import { html, useRef, useState } from "../base/html.js";
+import { html } from "../base/html.js";
+import { Command } from "./command.js";
 
 /** @param {{ run: string, chosen: import("./evaluated_levels.js").Row[], total: (set: string) => number }} props
  * total: number of levels of a set */
@@ -23,17 +24,4 @@ function OfSet({ run, set, indices, total }) {
       ${data.has_checkpoint ? " It goes on from the newest checkpoint of this run." : " This run has no checkpoint, so training starts from scratch."}
       <span class="soft"> A policy that has trained on levels of ${set} is not measured by ${set} any more: choose another set to evaluate it.</span></p>
   </section>`;
-}
-
-/** @param {{ text: string }} props */
-function Command({ text }) {
-  const shown = useRef(/** @type {HTMLElement | null} */ (null));
-  const [note, setNote] = useState("");
-  const copy = async () => {
-    getSelection()?.selectAllChildren(/** @type {HTMLElement} */ (shown.current));
-    // Browsers give pages the clipboard on this machine and over HTTPS only, and may refuse there too.
-    const isCopied = await (navigator.clipboard?.writeText(text).then(() => true, () => false) ?? false);
-    setNote(isCopied ? "copied" : "it is selected: press Ctrl-C");
-  };
-  return html`<div class="command"><pre ref=${shown}>${text}</pre><span><button onClick=${copy}>copy</button> <span class="soft" role="status">${note}</span></span></div>`;
 }
