@@ -263,9 +263,9 @@ def _solve_passes(
     stand, and [] bool whether they are solved all the same, since an island has gained energy.
 
     Joints, contacts, and joints again: so each has what the other answers. With bias, where a speed limit takes back
-    what stops a body, the rest of it is solved again with all of its island: a spin stays at its limit then, and what is
-    heavier and turns a body faster gives way, or its joints would come apart. And where something hits, passes go on
-    until all that it reaches has its share.
+    what stops a body, the rest of it is solved again with all of its island: a spin stays at its limit then, and what
+    is heavier and turns a body faster gives way, or its joints would come apart. And where something hits, passes go
+    on until all that it reaches has its share.
     """
     use_bias = placed is not None
     bodies, joints, contacts = start
