@@ -263,15 +263,14 @@ def _solve_passes(
     stand, and [] bool whether they are solved all the same, since an island has gained energy.
 
     Joints, contacts, and joints again: so each has what the other answers. With bias, where a speed limit takes back
-    what stops a body, the rest of it is solved again with all of its island: a spin stays at its limit then, and what
-    is heavier and turns a body faster gives way, or its joints would come apart. And where something hits, passes go
-    on until all that it reaches has its share.
+    what stops a body, the rest of it is solved again with all of its island: what is jointed keeps its spin at the
+    limit then, and what is heavier and turns it faster gives way, or joints would come apart. And where something
+    hits, passes go on until all that it reaches has its share.
     """
     use_bias = placed is not None
     bodies, joints, contacts = start
-    touching = marked(bodies, contacts.pair, contacts.key >= 0)
-    touching |= marked(bodies, joints.pair, jnp.any(joints.pair.is_a, axis=-1))
-    touching = islands.whole(touching)
+    jointed = marked(bodies, joints.pair, jnp.any(joints.pair.is_a, axis=-1))
+    touching = islands.whole(jointed | marked(bodies, contacts.pair, contacts.key >= 0))
 
     def solve(now: Pass, index: jax.Array) -> Pass:
         if placed is None:
@@ -302,7 +301,8 @@ def _solve_passes(
         bodies, slowed = bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed, solved)
         is_solved_again = index < C.limited_passes
         anew = islands.whole(slowed) & touching & is_solved_again
-        held = now.held | (slowed & is_solved_again & (jnp.abs(bodies.velocities.omega) >= params.max_angular_speed))
+        spins = jnp.abs(bodies.velocities.omega) >= params.max_angular_speed
+        held = now.held | (slowed & jointed & spins & is_solved_again)
         shared &= ~anew
         return Pass(bodies, joints, contacts, ActiveSet(shared | anew, shared), held)
 

@@ -147,22 +147,23 @@ struct World {
   }
 
   // Limits speeds of bodies that have just been solved. `anew`: islands of those that this slows down, with contacts or
-  // joints that have a say in it; True if there are any. Spins stay at their limit until it is solved: what is heavier and
-  // turns a body faster gives way, or its joints would come apart.
+  // joints that have a say in it; True if there are any. What is jointed keeps its spin at the limit until it is solved: what
+  // is heavier and turns it faster gives way, or joints would come apart.
   KFN bool slow_down(const unsigned int* solved, bool looks, unsigned int* anew) {
     Bodies::clear(anew);
     bool any = false;
     for (Bodies::Each each = Bodies::Each::of(solved); each.next();) {
       if (!bodies.limit_speed(each.shape, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED)) || !looks) continue;
       Bodies::add(anew, each.shape);
-      bodies.hold_spin(each.shape, params.get(PARAM_MAX_ANGULAR_SPEED));
       any = true;
     }
     if (!any) return false;
     unsigned int touching[SHAPE_WORDS];
     Bodies::clear(touching);
-    for (int k = 0; k < contacts.count; ++k) bodies.add_dynamic(touching, contacts.list[k].a, contacts.list[k].b);
     for (int k = 0; k < joints.count; ++k) bodies.add_dynamic(touching, joints.list[k].a, joints.list[k].b);
+    for (Bodies::Each each = Bodies::Each::of(touching); each.next();)
+      if (Bodies::has(anew, each.shape)) bodies.hold_spin(each.shape, params.get(PARAM_MAX_ANGULAR_SPEED));
+    for (int k = 0; k < contacts.count; ++k) bodies.add_dynamic(touching, contacts.list[k].a, contacts.list[k].b);
     islands.complete(bodies, touching);
     islands.complete(bodies, anew);
     any = false;
