@@ -142,7 +142,7 @@ def test_where_training_taught_nothing_the_solution_is_offered(tmp_path: Path) -
     assert job.text == (
         f"not learned: 2 of 64 attempts, 0 before; the solution that was found solves it in {steps} steps"
     )
-    assert not job.learned and job.proof is not None and "play the solution" in job.advice
+    assert not job.learned and job.proof is not None and "play the proof" in job.advice
 
 
 @pytest.mark.parametrize("found", [True, False])

@@ -27,15 +27,17 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.env.env_config import describe
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.records import PreparedLevels
+from kinetix_dist.evaluation.search.worlds import START_NOISE_M_S
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.proof import Proof, check_proof_is_of, proof_path, read_proof
 from kinetix_dist.level.sets import files_of_set, read_level
 from kinetix_dist.level.validate import read_document
 
-WORLDS = 64  # that replay the proof of a level, half of them from its start
-START_NOISE_M_S = 1e-3  # of velocities at the start in the other half, standard deviation
-BATCH = 256  # samples of a gradient step
+# That replay the proof of a level, half of them from its start, half from those by which searches measure robustness:
+# more noise moves the states at which an action changes, and blurs when it does.
+WORLDS = 64
+BATCH = 128  # samples of a gradient step
 LEARNING_RATE = 5e-4  # at first; it falls to 0 linearly, so that the last steps agree on when an action changes
 MAX_GRAD_NORM = 0.5
 VALUE_COEFFICIENT = 0.5

@@ -47,7 +47,7 @@ TEACH, SOLVE = KINDS = ("teach", "solve")
 SECONDS = (60, 120, 300)  # that a person may choose
 POLICY = "generalist"  # that training starts from
 RECIPE = "teach"
-IMITATION_STEPS = 150  # gradient steps; a quarter to half a second each on two cores
+IMITATION_STEPS = 150  # gradient steps, 0.2 CPU seconds each
 PROOF_SECONDS = 20  # for a proof by the trained policy, which has solved the level before
 STAGES = ("imitating", "compiling", "training")  # of training, phases of its run (status.json)
 SOLVED_ALREADY = 0.95  # share of attempts of the untrained policy from which on there is nothing to teach
@@ -379,7 +379,7 @@ def _judge(job: Job) -> None:
         job.text += f"; the solution that was found solves it in {job.proof['steps']} steps"
     if not job.learned or job.after["rate"] < MIN_LEARNED:
         job.advice = "Try: a longer time; the goal nearer, or an easier way to it" + (
-            "; or play the solution." if job.proof else "; or go on in a terminal with `train --resume`."
+            "; or play the proof." if job.proof else "; or go on in a terminal with `train --resume`."
         )
 
 

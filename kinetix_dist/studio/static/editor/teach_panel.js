@@ -74,7 +74,7 @@ export function TeachPanel({ editor, play }) {
     ${isChecking ? html`<p class="soft" role="status">the level is checked ...</p>` : null}
     ${isChecking ? null : job ? html`<${JobState} job=${job} isSame=${isSame} />` : html`<p class="soft">Level, policy and a proof are stored in ${about?.results ?? "..."}.</p>`}
     ${job && !isRunning && !isChecking ? html`<div class="row small">
-      ${job.run ? html`<button onClick=${() => play.open({ document: job.document }, { run: job.run })}>▶ play what was learned</button>` : null}
+      ${job.run ? html`<button onClick=${() => play.open({ document: job.document }, { run: job.run })}>▶ play ${job.learned ? "what was learned" : "the trained policy"}</button>` : null}
       ${job.solves_already ? html`<button onClick=${() => play.open({ document: job.document }, policyOf(job))}>▶ play the policy</button>` : null}
       ${job.proof ? html`<button onClick=${() => play.open({ document: job.document }, { actions: job.proof?.actions })}>▶ play the proof</button>` : null}
       ${job.run ? html`<a class="button" href=${addressOf(["run", job.run, "overview"])}>its run</a>` : null}
