@@ -130,7 +130,7 @@ def test_a_proof_that_does_not_solve_its_level_is_refused(level: Path) -> None:
     ("section", "change", "text"),
     [
         ("run", {"placement": "colocated"}, "needs run.placement 'local', not 'colocated'"),
-        ("curriculum", {"name": "sfl"}, "needs curriculum.name 'fixed', not 'sfl'"),
+        ("curriculum", {"name": "sfl", "levels": ""}, "needs curriculum.name 'fixed', not 'sfl'"),
         ("policy", {"recurrent": "gru"}, "needs policy.recurrent 'none', not 'gru'"),
     ],
 )
