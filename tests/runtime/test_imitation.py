@@ -89,13 +89,13 @@ def test_a_level_that_is_never_solved_is_solved_after_imitation_and_ends_the_run
     shutil.copy(never_solved, level)
     shutil.copy(proof_path(never_solved), proof_path(level))
     options = ["--recipe", "teach", "--from", "generalist", "--levels", str(level), "--run", str(run)]
-    assert main(["finetune", *options, "--run.imitation_steps", "80", "--run.max_seconds", "60"]) == 0
+    assert main(["finetune", *options, "--run.imitation_steps", "150", "--run.stop_at", "0.5"]) == 0
     events = [json.loads(line) for line in (run / "events.jsonl").read_text().splitlines()]
     [imitated] = [event for event in events if event["event"] == "imitated"]
-    assert imitated["steps"] == 80 and imitated["loss"] < 0.1
+    assert imitated["steps"] == 150 and imitated["loss"] < 0.1
     rows = [json.loads(line) for line in (run / "evaluations.jsonl").read_text().splitlines()]
     solved = {(row["phase"], row["update"]): sum(row["sets"][str(level)]["solved"]) for row in rows}
-    assert solved["before", 0] < 6 and solved["training", 0] == solved["after", 0] > 0.95 * 64, solved
+    assert solved["before", 0] < 6 and solved["training", 0] == solved["after", 0] > 32, solved
     assert [path.name for path in (run / "checkpoints").iterdir()] == ["00000000"]  # without any update
 
 

@@ -118,7 +118,7 @@ def test_a_level_that_was_learned_has_a_policy_a_proof_and_both_rates(tmp_path: 
     first, second = job.command.split("\n")
     assert first.startswith("kinetix-dist levels solve ") and first.endswith("--seconds 60")
     assert second.startswith("kinetix-dist finetune --recipe teach --from generalist --levels ")
-    assert "--run.max_seconds 60" in second and second.endswith("--run.imitation_steps 150")
+    assert "--run.max_seconds 60" in second and second.endswith("--run.imitation_steps 150 --run.stop_at 0.5")
 
 
 @pytest.mark.parametrize(("after", "text"), [(3, "not learned: 3 of 64"), (25, "partly learned: 25 of")])
@@ -187,7 +187,7 @@ def test_what_the_policy_solves_already_is_not_trained_on(tmp_path: Path) -> Non
     assert time.monotonic() - began < 60
     assert job.text.startswith("generalist solves it already, without any training: 63 of 64")
     assert job.run is None and not job.files.run.exists() and job.proof is not None
-    assert job.command.endswith("--run.imitation_steps 150")  # which was ended
+    assert job.command.endswith("--run.imitation_steps 150 --run.stop_at 0.5")  # which was ended
 
 
 def test_a_search_stores_a_proof_or_says_how_near_it_came(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ What computes are the commands that a person would type, one after another in a 
 
     teach   kinetix-dist levels solve FILE --seconds N                                            its proof
             kinetix-dist finetune --recipe teach --from generalist --levels FILE --run DIR --run.max_seconds N
-                --run.imitation_steps 150                                                    imitates that first
+                --run.imitation_steps 150 --run.stop_at 0.5              imitates it, trains on below half
     solve   kinetix-dist levels solve FILE --seconds N
 
 Where the search of `teach` finds nothing it trains on the level alone, says so, and then
@@ -232,7 +232,9 @@ class Teaching:
 
     async def _train(self, job: Job) -> None:
         files = job.files
-        imitates = ["--run.imitation_steps", str(IMITATION_STEPS)] if job.proof is not None else []
+        imitates: list[str] = []
+        if job.proof is not None:  # PPO can lose what a nearly deterministic policy has: only where imitation failed
+            imitates = ["--run.imitation_steps", str(IMITATION_STEPS), "--run.stop_at", str(MIN_LEARNED)]
         await self._begin_command(
             job, "trying",
             ["finetune", "--recipe", RECIPE, "--from", POLICY, "--levels", str(files.level), "--run", str(files.run),
