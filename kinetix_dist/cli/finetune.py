@@ -125,6 +125,8 @@ def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
     args = train.parse(rest, prog=PROG, default_recipe=DEFAULT_RECIPE, adjust=adjust)
     if (name := args.config.curriculum.name) != CURRICULUM:
         raise UserError(f"curriculum.name is {name!r}, but finetune trains on --levels: {CURRICULUM!r}; leave it out")
+    if known.each and args.config.run.imitation_steps:
+        raise UserError("run.imitation_steps is of one run; leave --each out, or run.imitation_steps")
     has_size = any(word.split("=")[0] == "--env.size" for word in rest)
     return Args(
         train=args,

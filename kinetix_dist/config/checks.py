@@ -172,6 +172,24 @@ def check_generator(env: EnvConfig, curriculum: CurriculumConfig) -> None:
             )
 
 
+def check_imitation(env: EnvConfig, policy: PolicyConfig, curriculum: CurriculumConfig, run: RunConfig) -> None:
+    """Proofs of the levels of the run can be imitated by its policy."""
+    if not run.imitation_steps:
+        return
+    needed = {
+        "run.placement": (run.placement, "local"),
+        "curriculum.name": (curriculum.name, "fixed"),
+        "env.action_space": (env.action_space, "multi_discrete"),
+        "policy.recurrent": (policy.recurrent, "none"),
+    }
+    for name, (value, expected) in needed.items():
+        if value != expected:
+            raise ConfigError(
+                f"run.imitation_steps is {run.imitation_steps}, which needs {name} {expected!r}, not {value!r}; set "
+                "it to that, or imitation_steps to 0"
+            )
+
+
 def check_stop(run: RunConfig, evaluation: EvaluationConfig) -> None:
     """A solve rate that ends training is measured during training."""
     if run.stop_at and not evaluation.is_during_training:

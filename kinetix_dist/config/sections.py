@@ -126,6 +126,7 @@ class RunConfig:
     seed: int = setting(0, minimum=0, maximum=LAST_SEED)
     start_from: str = ""  # checkpoint or pretrained policy whose parameters training starts from; "": from the seed
     start_optimizer: bool = False  # take the state of its optimiser, too
+    imitation_steps: int = setting(0, minimum=0)  # gradient steps on the proofs of curriculum.levels before training
     start_other_engine: bool = False  # also where it learned with other settings of the engine than this run
     total_env_steps: int = setting(0, minimum=0)  # after which training ends; 0: no such end
     max_seconds: float = setting(0.0, minimum=0)  # of training time, after which it ends; 0: no such end

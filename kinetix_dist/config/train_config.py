@@ -57,6 +57,7 @@ class TrainConfig:
         checks.check_curators(run, curriculum, self.curriculum_class)
         checks.check_rollout_actors(run, rollout)
         checks.check_stop(run, self.evaluation)
+        checks.check_imitation(self.env, self.policy, self.curriculum, run)
         if self.phases:
             self.check_batch()
             _ = self.refresh_times  # raises for phases that cannot run
@@ -182,6 +183,8 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     counted["phases"] = [_before_rewards(phase, usual=UNCHANGED) for phase in phases]
     run = {"seed": config.run.seed, "policy_lag": config.run.policy_lag}
     run |= {"start_from": config.run.start_from, "start_optimizer": config.run.start_optimizer}
+    if config.run.imitation_steps:
+        run["imitation_steps"] = config.run.imitation_steps
     return counted | {"run": run}
 
 

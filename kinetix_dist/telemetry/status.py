@@ -28,7 +28,7 @@ class Status:
 
     format: int = FORMAT
     state: str = RUNNING  # of STATES
-    phase: str  # "starting", "evaluating", "compiling", "curating", "training", "recording" or "done"
+    phase: str  # "starting", "evaluating", "compiling", "imitating", "curating", "training", "recording" or "done"
     pid: int
     host: str
     session: int  # 1, and 1 more with every resume

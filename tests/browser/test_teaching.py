@@ -47,7 +47,7 @@ def test_a_solution_is_searched_stored_and_played(serve: Any, open_page: OpenPag
     assert str(proof) in panel.inner_text() and "kinetix-dist levels solve" in panel.locator("pre").text_content()
 
 
-@pytest.mark.long  # trains for a minute
+@pytest.mark.long  # searches, and trains for about a minute
 def test_a_level_is_taught_and_its_run_is_on_the_dashboard(serve: Any, open_page: OpenPage, tmp_path: Path) -> None:
     document = json.loads((levels_root() / "m" / "ramp_car.json").read_text())
     file, results = tmp_path / "mine.json", tmp_path / "results"
@@ -56,11 +56,14 @@ def test_a_level_is_taught_and_its_run_is_on_the_dashboard(serve: Any, open_page
     panel = panel_of(page)
     panel.get_by_label("time to teach or to search").select_option("60")
     panel.get_by_role("button", name="teach it").click()
-    panel.locator("[data-state=training]").wait_for()
+    panel.locator("[data-state=searching]").wait_for()
+    panel.locator("[data-state=imitating]").wait_for(timeout=END_MS)
     page.reload()  # the job goes on without its page
     panel = panel_of(page)
     panel.locator("[data-state=done]").wait_for(timeout=END_MS)
-    assert " of 64 attempts" in panel.inner_text() and "95 %:" in panel.inner_text()
+    text = panel.inner_text()
+    assert "ramp_car: learned: 6" in text and " of 64 attempts" in text and "95 %:" in text, text
+    assert "proof of " in text and "--run.imitation_steps" in panel.locator("pre").text_content()
     panel.get_by_role("button", name="play what was learned").click()
     assert played_to_its_end(page) in ("solved", "failed", "out of time")
     panel.get_by_role("link", name="its run").click()

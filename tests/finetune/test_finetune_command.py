@@ -177,6 +177,11 @@ def test_together_is_of_specialists(capsys: pytest.CaptureFixture[str]) -> None:
     assert line.endswith("--together is how many specialists train at a time; give --each too")
 
 
+def test_specialists_imitate_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    line = _refusal(capsys, "--levels", "designed_s", "--each", "--run.imitation_steps", "9")
+    assert line.endswith("run.imitation_steps is of one run; leave --each out, or run.imitation_steps")
+
+
 @pytest.mark.parametrize(("count", "limit", "size"), [(1, 8, 1), (8, 8, 8), (9, 8, 5), (10, 4, 4), (40, 16, 14)])
 def test_batches_are_as_even_as_they_can_be(count: int, limit: int, size: int) -> None:
     assert even_size(count, limit) == size

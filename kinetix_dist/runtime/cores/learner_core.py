@@ -25,6 +25,7 @@ from kinetix_dist.learner.update import exported_update, make_update
 from kinetix_dist.models.added_layers import with_added_layers
 from kinetix_dist.models.policy import init_params
 from kinetix_dist.runtime.cores.curriculum_state import some_observation
+from kinetix_dist.runtime.cores.imitation import imitate, samples_of
 from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
 from kinetix_dist.runtime.cores.run_names import INIT, LEARNER, OPTIMIZER, PARAMS, SHUFFLE, START, stream
 
@@ -103,6 +104,18 @@ class LearnerCore:
         """(next state, metrics of the update) of a learner in this state, which is used up."""
         clocked = at_env_steps(state, replicate(clock(env_steps), self._mesh))
         return self._update(clocked, static, trajectory, last_value)
+
+    def imitate(self, steps: int) -> float:
+        """Imitates the proofs of the levels of the run before its first update; the loss at the end."""
+        assert self.state is not None, "start() comes first"
+        samples, params = samples_of(self._config, self._env), local_values(self.state.params)
+        seed = self._config.run.seed
+        params, loss = imitate(self._env, self._policy, params, samples, steps=steps, seed=seed)
+        average = None if self.state.average is None else params
+        self.state = replicate(
+            dataclasses.replace(local_values(self.state), params=local_values(params), average=average), self._mesh
+        )
+        return loss
 
     @functools.cached_property
     def _measure(self) -> Measure:

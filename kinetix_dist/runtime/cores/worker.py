@@ -21,6 +21,7 @@ from kinetix_dist.runtime.cores import programs
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState
 from kinetix_dist.runtime.cores.evaluator import Evaluator
+from kinetix_dist.runtime.cores.imitation import levels_and_proofs
 from kinetix_dist.runtime.cores.learner_core import LearnerCore
 from kinetix_dist.runtime.cores.ongoing_worlds import OngoingWorlds, begun, restored, stored
 from kinetix_dist.runtime.cores.playing import Playing, check_memory
@@ -44,6 +45,8 @@ class LearnerWorker:
         self._learner = LearnerCore(config, env, policy, mesh)
         self._evaluator = Evaluator(config, env, policy)
         self._playing.curriculum(config)  # a level set that cannot be loaded is found before the start
+        if config.run.imitation_steps:
+            levels_and_proofs(config, env)  # likewise
         self._states: dict[int, CurriculumState] = {}  # by `Phase.curriculum_since`: in use, and the next one
         self._staging = Staging(config, mesh, self._learner.division)
 
@@ -115,6 +118,10 @@ class LearnerWorker:
         state = self._states.get(self._since(self._learner.num_updates))
         values = None if state is None else state.values  # None: the next update begins another
         return flatten_arrays({LEARNER: local_values(self._learner.state), CURRICULUM: values})
+
+    def imitate(self, steps: int) -> float:
+        """See `LearnerCore.imitate`."""
+        return self._learner.imitate(steps)
 
     def evaluate(self, use_policy: bool) -> dict[str, dict[str, Any]]:
         return self._evaluator.evaluate(self.released() if use_policy else None)

@@ -88,6 +88,9 @@ class ColocatedTrainer:
         slowest = {role: max(seconds[role] for _, seconds, _ in answers) for role in answers[0][1]}
         return metrics | {"runtime/policy_lag": 0.0, "runtime/policy_lag_max": 0.0}, slowest, attempts
 
+    def imitate(self, steps: int) -> float:
+        return self._first("imitate", steps)
+
     def check(self) -> None:
         self.backend.check(self._handles)
 

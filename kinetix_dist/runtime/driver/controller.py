@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from kinetix_dist.checkpoint import Checkpoint, remove_dead_drafts
 from kinetix_dist.config import TrainConfig, to_dict
 from kinetix_dist.runtime.driver.checkpoints import LINEAGE, Saver, newest_checkpoint, starting_point
+from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.evaluations import (
     Evaluated,
     Evaluations,
@@ -154,7 +155,10 @@ class Controller:
         Raises StoppedError at the end of an update in which a stop was requested, after a checkpoint is saved, and
         NotFiniteError where nothing can be learned.
         """
-        self.reporter.phase("compiling")
+        if self.config.run.imitation_steps and self.num_updates == 0:
+            self._imitate(self.config.run.imitation_steps)
+        if not self._is_over():
+            self.reporter.phase("compiling")
         self.clock.start()
         while not self._is_over():
             self._step()
@@ -309,6 +313,22 @@ class Controller:
             f"phase {phase.number} begins after {self.num_updates} updates, {self.env_steps:,} env steps: {changes}; "
             "what it changes is compiled now (runtime/compile_seconds)"
         )
+
+    def _imitate(self, steps: int) -> None:
+        """Imitates the proofs of the levels, and evaluates what came of it: that may be good enough to end the run.
+
+        Not training time: it depends on `run.imitation_steps` alone. A run that is resumed before its first checkpoint
+        does it again, to the same bits.
+        """
+        assert isinstance(self.trainer, ColocatedTrainer)  # `checks.check_imitation`: placement local
+        self.reporter.phase("imitating")
+        began = time.monotonic()
+        with self._section("update"):
+            loss = self.trainer.imitate(steps)
+        self.run.event("imitated", steps=steps, seconds=round(time.monotonic() - began, 3), loss=round(loss, 4))
+        began = time.monotonic()
+        rates = self._evaluate(use_policy=True)
+        self._report_evaluation(Evaluated(update=0, rates=rates, seconds=time.monotonic() - began))
 
     def _report_evaluation(self, evaluated: Evaluated) -> None:
         update, rates = evaluated.update, evaluated.rates

@@ -4,9 +4,14 @@
 
 What computes are the commands that a person would type, one after another in a child process:
 
-    teach   kinetix-dist finetune --recipe teach --from generalist --levels FILE --run DIR --run.max_seconds N
-            kinetix-dist levels solve FILE --method policy --checkpoint DIR/checkpoints/...      its proof
+    teach   kinetix-dist levels solve FILE --seconds N                                            its proof
+            kinetix-dist finetune --recipe teach --from generalist --levels FILE --run DIR --run.max_seconds N
+                --run.imitation_steps 150 --run.stop_at 0.5              imitates it, trains on below half
     solve   kinetix-dist levels solve FILE --seconds N
+
+Where the search of `teach` finds nothing it trains on the level alone, says so, and then
+
+            kinetix-dist levels solve FILE --method policy --checkpoint DIR/checkpoints/...
 
 FILE is NAME-TIME.json in the directory of results, DIR is NAME-TIME and the proof NAME-TIME.proof.json next to it. All
 are new: nothing is overwritten. How far training is comes from the files of its run.
@@ -42,7 +47,9 @@ TEACH, SOLVE = KINDS = ("teach", "solve")
 SECONDS = (60, 120, 300)  # that a person may choose
 POLICY = "generalist"  # that training starts from
 RECIPE = "teach"
+IMITATION_STEPS = 150  # gradient steps, 0.2 CPU seconds each
 PROOF_SECONDS = 20  # for a proof by the trained policy, which has solved the level before
+STAGES = ("imitating", "compiling", "training")  # of training, phases of its run (status.json)
 SOLVED_ALREADY = 0.95  # share of attempts of the untrained policy from which on there is nothing to teach
 MIN_LEARNED = 0.5  # share of attempts below which a level counts as partly learned at most
 METHODS = {"random": "random actions", "cem": "the cross-entropy method", "best_first": "best-first search"}
@@ -83,7 +90,7 @@ class Job:
     document: dict[str, Any]
     files: Files
     state: str = "running"  # then "done", "failed" or "cancelled"
-    stage: str = "checking"  # "training", "searching", "proving"
+    stage: str = "checking"  # "searching", "trying", then those of STAGES, "evaluating", "proving"
     began: float = dataclasses.field(default_factory=time.time)
     ended: float | None = None
     command: str = ""  # as typed in a terminal
@@ -93,6 +100,7 @@ class Job:
     before: dict[str, Any] | None = None
     after: dict[str, Any] | None = None
     solves_already: bool = False  # the policy that training would start from
+    learned: bool = False  # by more than chance
     proof: dict[str, Any] | None = None  # {steps, method, robustness, actions}
     run: str | None = None  # name of its run in addresses
 
@@ -213,11 +221,24 @@ class Teaching:
                 job.files.proof.unlink(missing_ok=True)  # one that was not complete
 
     async def _teach(self, job: Job) -> None:
+        await self._prove(job, [], job.seconds, "searching")
+        await self._train(job)
+        if not job.solves_already:
+            job.run = await self._service.id_of(job.files.run)
+        _judge(job)
+        if job.proof is None and job.after and job.after["solved"]:
+            checkpoint = POLICY if job.solves_already else str(_newest_checkpoint(job.files.run))
+            await self._prove(job, ["--method", "policy", "--checkpoint", checkpoint], PROOF_SECONDS, "proving")
+
+    async def _train(self, job: Job) -> None:
         files = job.files
+        imitates: list[str] = []
+        if job.proof is not None:  # PPO can lose what a nearly deterministic policy has: only where imitation failed
+            imitates = ["--run.imitation_steps", str(IMITATION_STEPS), "--run.stop_at", str(MIN_LEARNED)]
         await self._begin_command(
-            job, "training",
+            job, "trying",
             ["finetune", "--recipe", RECIPE, "--from", POLICY, "--levels", str(files.level), "--run", str(files.run),
-             "--run.max_seconds", str(job.seconds)],
+             "--run.max_seconds", str(job.seconds), *imitates],
         )  # fmt: skip
         assert self._command is not None
         ending = asyncio.ensure_future(self._command.wait())
@@ -230,19 +251,14 @@ class Teaching:
                     await self._command.end()
         finally:
             ending.cancel()
-        if not job.solves_already:
-            self._refuse_failure(ending.result())
-            await asyncio.to_thread(_read_rates, job)
-            if job.after is None:
-                raise TeachingError("training ended without an evaluation; its console has more")
-            job.run = await self._service.id_of(files.run)
-        else:
+        if job.solves_already:
             await asyncio.to_thread(shutil.rmtree, files.run, True)
             job.after = job.before
-        _judge(job)
-        if job.after and job.after["solved"]:
-            checkpoint = POLICY if job.solves_already else str(_newest_checkpoint(files.run))
-            await self._prove(job, ["--method", "policy", "--checkpoint", checkpoint], PROOF_SECONDS, "proving")
+            return
+        self._refuse_failure(ending.result())
+        await asyncio.to_thread(_read_rates, job)
+        if job.after is None:
+            raise TeachingError("training ended without an evaluation; its console has more")
 
     async def _search(self, job: Job) -> None:
         await self._prove(job, [], job.seconds, "searching")
@@ -312,6 +328,10 @@ def _read_progress(job: Job) -> None:
     except (StatusError, OSError, RunFileError):
         return
     row = last_row(run / run_files.METRICS, is_row=is_metrics_row).row or {}
+    if status is not None and status.phase in STAGES:
+        job.stage = status.phase
+    elif job.stage in STAGES:  # the last of them is over
+        job.stage = "evaluating"
     trained = row.get("progress/seconds", 0.0) - row.get("progress/warmup_seconds", 0.0)
     job.progress |= {
         "phase": status.phase if status is not None else "starting",
@@ -345,19 +365,23 @@ def _judge(job: Job) -> None:
         return
     _, low, high = difference_interval(*((rate["rate"], rate["low"], rate["high"]) for rate in (job.after, job.before)))
     counts += f", {job.before['solved']} before"
-    if low > 0:
-        share = "learned" if job.after["rate"] >= MIN_LEARNED else "partly learned"
-        job.text = f"{share} in {job.seconds} s: {counts}"
+    job.learned = low > 0
+    if job.learned:
+        result = "learned" if job.after["rate"] >= MIN_LEARNED else "partly learned"
     elif high < 0:
-        job.text = f"unlearned in {job.seconds} s: {counts}; {POLICY} plays it better than what was trained"
+        result = f"unlearned, {POLICY} plays it better than what was trained"
     elif job.before["rate"] >= MIN_LEARNED:
-        job.text = f"{POLICY} solves most of it already, and {job.seconds} s changed nothing clear: {counts}"
+        result = f"{POLICY} solves most of it already, and training changed nothing clear"
     else:
-        job.text = f"not learned in {job.seconds} s: {counts}"
-    if low <= 0 or job.after["rate"] < MIN_LEARNED:
-        job.advice = (
-            "Try: a longer time; the goal nearer, or an easier way to it; `solve it`, which searches for one solution; "
-            "or go on in a terminal with `train --resume`."
+        result = "not learned"
+    job.text = f"{result}: {counts}"
+    if job.proof is None:
+        job.text += f"; no solution was found in {job.seconds} s of search, so it trained on the level alone"
+    elif not job.learned:
+        job.text += f"; the solution that was found solves it in {job.proof['steps']} steps"
+    if not job.learned or job.after["rate"] < MIN_LEARNED:
+        job.advice = "Try: a longer time; the goal nearer, or an easier way to it" + (
+            "; or play the proof." if job.proof else "; or go on in a terminal with `train --resume`."
         )
 
 

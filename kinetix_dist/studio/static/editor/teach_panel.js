@@ -10,7 +10,7 @@ const ADDRESS = "api/teaching";
 
 /** @typedef {{ solved: number, attempts: number, rate: number, low: number, high: number }} Rate */
 /** @typedef {{ number: number, kind: "teach" | "solve", seconds: number, state: string, stage: string, elapsed: number, command: string,
- *   document: any, progress: any, text: string, advice: string, before: Rate | null, after: Rate | null, solves_already: boolean,
+ *   document: any, progress: any, text: string, advice: string, before: Rate | null, after: Rate | null, solves_already: boolean, learned: boolean,
  *   proof: { steps: number, method: string, robustness: number | null, actions: number[][] } | null, run: string | null,
  *   files: Record<string, string> }} Job */
 
@@ -64,7 +64,7 @@ export function TeachPanel({ editor, play }) {
 
   return html`<section class="panel" data-panel="teach"><header><h3>Teach it, or solve it</h3><span class="help">in the background, on the CPU</span></header>
     <div class="row small">
-      <button disabled=${isRunning || isBusy} onClick=${() => begin("teach")} title="trains the bundled policy on this level">teach it</button>
+      <button disabled=${isRunning || isBusy} onClick=${() => begin("teach")} title="searches for a solution, and trains the bundled policy on it">teach it</button>
       <button disabled=${isRunning || isBusy} onClick=${() => begin("solve")} title="searches for actions that solve this level">solve it</button>
       <label>for <select aria-label="time to teach or to search" disabled=${isRunning} onChange=${(/** @type {any} */ e) => setSeconds(Number(e.target.value))}>
         ${(about?.seconds ?? [60, 120, 300]).map((value) => html`<option key=${value} value=${value} selected=${value === seconds}>${value / 60} min</option>`)}</select></label>
@@ -74,7 +74,7 @@ export function TeachPanel({ editor, play }) {
     ${isChecking ? html`<p class="soft" role="status">the level is checked ...</p>` : null}
     ${isChecking ? null : job ? html`<${JobState} job=${job} isSame=${isSame} />` : html`<p class="soft">Level, policy and a proof are stored in ${about?.results ?? "..."}.</p>`}
     ${job && !isRunning && !isChecking ? html`<div class="row small">
-      ${job.run ? html`<button onClick=${() => play.open({ document: job.document }, { run: job.run })}>▶ play what was learned</button>` : null}
+      ${job.run ? html`<button onClick=${() => play.open({ document: job.document }, { run: job.run })}>▶ play ${job.learned ? "what was learned" : "the trained policy"}</button>` : null}
       ${job.solves_already ? html`<button onClick=${() => play.open({ document: job.document }, policyOf(job))}>▶ play the policy</button>` : null}
       ${job.proof ? html`<button onClick=${() => play.open({ document: job.document }, { actions: job.proof?.actions })}>▶ play the proof</button>` : null}
       ${job.run ? html`<a class="button" href=${addressOf(["run", job.run, "overview"])}>its run</a>` : null}
@@ -93,7 +93,7 @@ function JobState({ job, isSame }) {
     ${job.before && job.after && !job.solves_already ? html`<p>before ${rateText(job.before)}; after ${rateText(job.after)}</p>` : null}
     ${job.solves_already && job.before ? html`<p>${rateText(job.before)}</p>` : null}
     ${job.proof ? html`<p class="soft">proof of ${job.proof.steps} steps, replayed by the engine${job.proof.robustness === null ? "" : `; also solves it from ${percent(job.proof.robustness)} of slightly different starts`}</p>` : null}
-    ${job.state === "done" && job.after?.solved === 0 ? html`<p class="soft">no proof: the policy solved it in no attempt</p>` : null}
+    ${job.state === "done" && job.after?.solved === 0 && !job.proof ? html`<p class="soft">no proof: the policy solved it in no attempt</p>` : null}
     ${job.advice ? html`<p>${job.advice}</p>` : null}
     <p class="soft">${Object.entries(job.files).map(([kind, path]) => html`<span key=${kind} class="path">${kind === "run" ? "run, with the policy" : kind}: <code>${path}</code><br /></span>`)}took ${duration(job.elapsed)}</p>
     <${Command} job=${job} />`;
@@ -106,14 +106,21 @@ function Command({ job }) {
 
 /** @param {Job} job */
 function stageText(job) {
-  const { phase, solve_rate: rate, attempts, seconds_left: left, updates, since } = job.progress;
-  if (job.stage === "checking") return "is checked ...";
-  if (job.stage === "proving") return `${job.solves_already ? "the policy solves it already" : "training is over"}; a proof is searched, and replayed ...`;
-  if (job.stage === "searching") return `a solution is searched, ${duration(Date.now() / 1000 - since)} of ${duration(job.seconds)} and some to start`;
-  if (!updates) return phase === "evaluating" ? "64 attempts before training ..." : "starts: the first training of a size is compiled, up to a minute or two ...";
-  if (left === 0) return "trained; 64 attempts after training ...";
-  return `trains: ${percent(rate)} of the last ${attempts} attempts solved after ${count(updates, "update")}, ${duration(left)} left`;
+  const { solve_rate: rate, attempts, seconds_left: left, updates, since } = job.progress;
+  switch (job.stage) {
+    case "searching": return `a solution is searched, ${duration(Date.now() / 1000 - since)} of ${duration(job.seconds)} and some to start`;
+    case "trying": return `${foundText(job)} the untrained policy tries it 64 times ...`;
+    case "imitating": return "the policy imitates the solution ...";
+    case "compiling": return "programs of training are compiled, once for a size, up to a minute or two ...";
+    case "training": return `trains: ${updates ? `${percent(rate)} of the last ${attempts} attempts solved after ${count(updates, "update")}, ${duration(left)} left` : "begins ..."}`;
+    case "evaluating": return "64 attempts after training ...";
+    case "proving": return `${job.solves_already ? "the policy solves it already" : "training is over"}; a proof by it is searched, and replayed ...`;
+    default: return "is checked ...";
+  }
 }
+
+/** @param {Job} job */
+const foundText = (job) => job.proof ? `a solution of ${job.proof.steps} steps was found;` : "no solution was found, so it will train on the level alone;";
 
 /** @param {Rate} rate */
 const rateText = (rate) => `${rate.solved} of ${rate.attempts} attempts, ${percent(rate.rate)} (95 %: ${percent(rate.low)} to ${percent(rate.high)})`;
@@ -122,5 +129,6 @@ const rateText = (rate) => `${rate.solved} of ${rate.attempts} attempts, ${perce
 function policyOf(job) {
   if (job.state !== "done") return null;
   if (job.kind === "solve") return job.proof ? { actions: job.proof.actions } : null;
+  if (job.proof && !job.learned && !job.solves_already) return { actions: job.proof.actions };
   return job.run ? { run: job.run } : { checkpoint: "generalist" };
 }
