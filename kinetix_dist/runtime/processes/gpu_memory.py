@@ -40,7 +40,7 @@ CONTEXT_THREAD_BYTES = 1024
 # What the engine keeps for a world in the local memory of its thread, in numbers of 4 bytes: fitted to the compiled
 # kernels of nine capacities around S, M and L (to 2 %; tests/runtime/test_gpu_memory.py), raised by a margin for later
 # kernels.
-THREAD_NUMBERS = 390
+THREAD_NUMBERS = 98
 NUMBERS_OF = {"polygons": 49, "circles": 33, "joints": 87, "thrusters": 4, "contact_slots": 22}
 THREAD_MARGIN = 1.15
 
