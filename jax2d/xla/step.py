@@ -30,7 +30,7 @@ from jax2d.xla.bounces import Solved
 from jax2d.xla.branching import choose, in_any_world
 from jax2d.xla.contacts import ContactCache, Contacts
 from jax2d.xla.islands import Islands
-from jax2d.xla.joints import Joints, PlacedJoints
+from jax2d.xla.joints import Constraints, Joints, PlacedJoints
 from jax2d.xla.prediction import Found, outruns_contacts
 from jax2d.xla.rules import Rules
 
@@ -149,9 +149,9 @@ def soft_step(
         driven, warm_contacts = contact_solver.warm_start(driven, contacts)
         bodies, contacts = choose(stopped, (bodies, contacts), (driven, warm_contacts))
         solved = found | ~stopped
-        placed = joints_of.place(bodies, joints)
+        rows = joints_of.constraints(bodies, joints)
         bodies, joints, contacts = _solve_passes(
-            Solved(bodies, joints, contacts), placed, islands, params, rules, only=solved
+            Solved(bodies, joints, contacts), islands, params, rules, use_bias=True, only=solved
         )
         # Islands of bodies that would now go farther than was predicted are stopped before they move: their contacts
         # are found again, from here on in each sub-step.
@@ -170,16 +170,16 @@ def soft_step(
         bodies = bodies_of.move(bodies, h, params.max_speed, params.max_angular_speed, moving)
         bodies, joints, contacts = _relax(
             Solved(bodies, joints, contacts),
-            placed,
+            rows,
             islands,
             (v_at_detection, v_substep_start),
             params,
             rules,
             only=solved,
         )
-        work = bounces.driven_work(bodies, joints, placed.rows) + forces.work(bodies, thrusters, h)
+        work = bounces.driven_work(bodies, joints, rows) + forces.work(bodies, thrusters, h)
         work += forces.external_work(bodies, controls, h)
-        carried = bounces.carried_work(bodies, joints, placed.rows, contacts, h)
+        carried = bounces.carried_work(bodies, joints, rows, contacts, h)
         max_energy += jnp.where(solved, work + carried, 0)
 
         is_ending = has_one_of(contacts.pair, ending & bodies.moves)
@@ -250,16 +250,16 @@ class Pass(NamedTuple):
 
 def _solve_passes(
     start: Solved,
-    placed: PlacedJoints | None,
     islands: Islands,
     params: SolverNumbers,
     rules: Rules,
     *,
+    use_bias: bool,
     only: jax.Array,
     sharing: tuple[PlacedJoints, jax.Array] | None = None,
 ) -> Solved:
-    """Passes with bias, or without where no joints are `placed`: they are not relaxed, since with bias they have the
-    velocities that keep anchors together. `only`: the bodies [n] that this is about. sharing: joints as the bodies
+    """Passes with bias, or without: joints are not relaxed, since with bias they have the velocities that keep anchors
+    together. `only`: the bodies [n] that this is about. sharing: joints as the bodies
     stand, and [] bool whether they are solved all the same, since an island has gained energy.
 
     Joints, contacts, and joints again: so each has what the other answers. With bias, where a speed limit takes back
@@ -267,13 +267,12 @@ def _solve_passes(
     limit then, and what is heavier and turns it faster gives way, or joints would come apart. And where something
     hits, passes go on until all that it reaches has its share.
     """
-    use_bias = placed is not None
     bodies, joints, contacts = start
     jointed = marked(bodies, joints.pair, jnp.any(joints.pair.is_a, axis=-1))
     touching = islands.whole(jointed | marked(bodies, contacts.pair, contacts.key >= 0))
 
     def solve(now: Pass, index: jax.Array) -> Pass:
-        if placed is None:
+        if not use_bias:
             bodies, springs, moved = springs_of.solve(
                 now.bodies, now.joints.springs, params, now.active, use_bias=False, forces=True
             )
@@ -289,7 +288,7 @@ def _solve_passes(
                 now.bodies, now.joints, standing, params, now.active, use_bias=True
             )
         bodies, contacts, hit = contact_solver.solve_soft(bodies, now.contacts, params, now.active, use_bias=use_bias)
-        if placed is not None:
+        if use_bias:
             bodies, joints, moved_again = joints_of.solve_soft(
                 bodies, joints, standing, params, now.active, use_bias=True, is_first=False
             )
@@ -348,7 +347,7 @@ class Relaxed(NamedTuple):
 
 def _relax(
     start: Solved,
-    placed: PlacedJoints,
+    rows: Constraints,
     islands: Islands,
     before: tuple[Velocities, Velocities],
     params: SolverNumbers,
@@ -357,8 +356,8 @@ def _relax(
 ) -> Solved:
     """Solves the bodies of `only` [n] bool, whole islands, without bias, islands that gain energy by that again.
 
-    before: velocities when contacts were found, and those of the sub-step when forces had acted and nothing had been
-    solved."""
+    rows: of the joints before bodies moved. before: velocities when contacts were found, and those of the sub-step when
+    forces had acted and nothing had been solved."""
     (bodies, joints, contacts), (v_at_detection, v_substep_start) = start, before
     drift = islands_of.drift(islands, bodies, v_at_detection)
     bound = islands_of.energy_bound(bodies, v_substep_start, drift, params.h)
@@ -368,9 +367,11 @@ def _relax(
         reset = islands_of.reset_impulses(islands, now.bodies, now.joints, now.contacts, v_substep_start, now.gains)
         is_reset = index == C.energy_passes_before_reset
         begun = Solved(*choose(is_reset, reset, (now.bodies, now.joints, now.contacts)))
-        end = _solve_passes(begun, None, islands, params, rules, only=now.gains, sharing=(standing, index > 0))
+        end = _solve_passes(
+            begun, islands, params, rules, use_bias=False, only=now.gains, sharing=(standing, index > 0)
+        )
         spare = jnp.where(index + 1 == C.energy_passes_before_reset, C.reset_gain, 0)
-        gains = now.gains & islands_of.gains_energy(islands, end[0], end[1], placed.rows, end[2], bound, spare)
+        gains = now.gains & islands_of.gains_energy(islands, end[0], end[1], rows, end[2], bound, spare)
         return Relaxed(*end, gains)
 
     def one_pass(now: Relaxed, index: jax.Array) -> tuple[Relaxed, None]:
