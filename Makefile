@@ -11,6 +11,8 @@ PYTHON ?=
 # Test processes, one more than two cores have: some of the tests wait for a browser, for Ray or for other processes.
 # They share one JAX compile cache, so that the second run is short.
 TEST_WORKERS ?= 3
+# A file stays in one process. One that ends, by a crash or by a test that waited for ever, is begun again once.
+PROCESSES := -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 1
 # Those of tests for a GPU, which share its memory.
 GPU_TEST_WORKERS ?= 2
 # More options for pytest, e.g. PYTEST_ARGS="-k pendulum -x"
@@ -82,19 +84,18 @@ format: $(STAMP)
 	$(BIN)/ruff format .
 
 test: check
-	$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
+	$(BIN)/python -m pytest $(PROCESSES) $(PYTEST_ARGS)
 
 # Continuous integration runs these too.
 test-long: $(STAMP)
-	$(BIN)/python -m pytest -m "long and not slow and not gpu" -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder \
-	    $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "long and not slow and not gpu" $(PROCESSES) $(PYTEST_ARGS)
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -m "slow and not gpu" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "slow and not gpu" -o faulthandler_timeout=0 $(PYTEST_ARGS)
 
 # One after another, each with its figures: times of recovery are measured.
 test-faults: $(STAMP)
-	$(BIN)/python -m pytest tests/runtime -m "slow and not gpu" -s $(PYTEST_ARGS)
+	$(BIN)/python -m pytest tests/runtime -m "slow and not gpu" -o faulthandler_timeout=0 -s $(PYTEST_ARGS)
 
 # Both placements, compared bit for bit with runs without a fault.
 test-faults-long: $(STAMP)
