@@ -21,6 +21,7 @@ from jax2d.palette import ROLE_PALETTE
 from jax2d.scene import JointKind
 from kinetix_dist.level.level import Role
 from kinetix_dist.telemetry.recording import ActionName
+from kinetix_dist.telemetry.sinks import rerun
 from kinetix_dist.telemetry.sinks.rerun import MOTOR_FORWARD, rollout_to_rrd, rollout_to_viewer
 from tests.helpers import PATIENCE_S
 from tests.telemetry.worlds import GREEN_BOX, GREY_TRIANGLE, falling_rollout, level
@@ -139,6 +140,22 @@ def test_a_running_viewer_is_shown_the_rollout(tmp_path: Path) -> None:
         warnings.simplefilter("ignore")  # an interrupted file has no footer
         translation = column(received, f"/world/shape_{GREY_TRIANGLE:02d}", "translation")
     assert len(translation) == 21
+
+
+@pytest.mark.parametrize(
+    "listens",
+    [pytest.param(True, id="one that answers nothing"), pytest.param(False, id="nobody", marks=pytest.mark.long)],
+)
+def test_what_takes_nothing_is_an_error_and_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, listens: bool) -> None:
+    """rerun itself waits for ever for the first of them, even at its exit."""
+    monkeypatch.setattr(rerun, "CONNECT_SECONDS", 1.0)
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))  # nobody else gets the port meanwhile
+        if listens:
+            listener.listen()
+        with pytest.raises(ConnectionError, match=r"no rerun viewer answers at .*; start `rerun --bind") as caught:
+            rollout_to_viewer(falling_rollout(20), f"rerun+http://127.0.0.1:{listener.getsockname()[1]}/proxy")
+    assert "exit status" not in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_place_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:

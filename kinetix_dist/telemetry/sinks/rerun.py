@@ -19,6 +19,9 @@ Every row carries two timelines: `step` and `time` (simulated seconds).
 from __future__ import annotations
 
 import os
+import pickle
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +40,8 @@ from jax2d.display_list import (
 )
 from jax2d.palette import BACKGROUND, HINGE, MOTOR_PALETTE, THRUSTER_PALETTE, Colour
 from jax2d.rasteriser import DEFAULT_VIEW
+from kinetix_dist.child_python import command_of
+from kinetix_dist.errors import one_line
 from kinetix_dist.telemetry.recording import Rollout
 
 if TYPE_CHECKING:
@@ -45,6 +50,7 @@ if TYPE_CHECKING:
 
 APPLICATION = "kinetix-dist"
 CONNECT_SECONDS = 10.0
+START_SECONDS = 60.0  # of the process that sends, on a busy machine
 LENS = 20000.0  # focal length, pixels, and distance: long, so that depth moves nothing by a pixel
 PIXELS_PER_METRE = 100.0
 CIRCLE_CORNERS = 48
@@ -75,18 +81,38 @@ def rollout_to_rrd(rollout: Rollout, path: str | os.PathLike[str]) -> None:
 def rollout_to_viewer(rollout: Rollout, url: str = "rerun+http://127.0.0.1:9876/proxy") -> None:
     """Shows one rollout in a rerun viewer that listens at `url` (`rerun --bind 127.0.0.1`).
 
-    Raises ConnectionError when none answers within CONNECT_SECONDS.
+    Raises ConnectionError when none takes it within CONNECT_SECONDS. A process of its own sends it: where something
+    takes the connection and nothing else, rerun waits for ever, also to give the stream up and to end its process.
     """
+    command, limit_s = command_of(__name__, url, CONNECT_SECONDS), START_SECONDS + CONNECT_SECONDS
+    environment = os.environ | {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
+    try:
+        done = subprocess.run(
+            command, input=pickle.dumps(rollout), stdout=subprocess.PIPE, env=environment, timeout=limit_s, check=False
+        )
+        reason = done.stdout.decode(errors="replace").strip() or f"exit status {done.returncode}"
+    except subprocess.TimeoutExpired:
+        reason = f"nothing was taken within {limit_s:g} s"
+    else:
+        if done.returncode == 0:
+            return
+    raise ConnectionError(f"no rerun viewer answers at {url} ({reason}); start `rerun --bind 127.0.0.1`")
+
+
+def _send(rollout: Rollout, url: str, seconds: float) -> None:
+    """Work of that process, which ends here where it fails, with the reason on stdout."""
     import rerun as rr
 
+    stream = rr.RecordingStream(APPLICATION, recording_id=_recording_id(rollout), send_properties=False)
     try:
-        with rr.RecordingStream(APPLICATION, recording_id=_recording_id(rollout), send_properties=False) as stream:
-            stream.connect_grpc(url, default_blueprint=rollout_blueprint(rollout))
-            log_rollout(stream, rollout)
-            stream.flush(timeout_sec=CONNECT_SECONDS)
-            stream.disconnect()
+        stream.connect_grpc(url, default_blueprint=rollout_blueprint(rollout))
+        log_rollout(stream, rollout)
+        stream.flush(timeout_sec=seconds)
+        stream.disconnect()
     except (RuntimeError, ValueError) as error:
-        raise ConnectionError(f"no rerun viewer answers at {url} ({error}); start `rerun --bind 127.0.0.1`") from error
+        sys.stdout.write(one_line(error))
+        sys.stdout.flush()
+        os._exit(1)
 
 
 def log_rollout(stream: rr.RecordingStream, rollout: Rollout) -> None:
@@ -356,3 +382,7 @@ def _log_action_words(stream: rr.RecordingStream, rollout: Rollout) -> None:
     ]
     indexes = [rr.TimeColumn("step", sequence=steps), rr.TimeColumn("time", duration=rollout.seconds[steps])]
     stream.send_columns("action_words", indexes=indexes, columns=rr.TextLog.columns(text=words))
+
+
+if __name__ == "__main__":
+    _send(pickle.load(sys.stdin.buffer), sys.argv[1], float(sys.argv[2]))
