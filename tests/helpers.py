@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import socket
-from collections.abc import Iterator
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
+from typing import Any, AnyStr, TypeVar
+
+Result = TypeVar("Result")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 # s: after which something that is waited for is taken to have failed. No test may depend on how fast a machine is, so
@@ -23,6 +30,40 @@ def environment_of_cpus(number: int) -> dict[str, str]:
     """The environment of a test's own process in which JAX has so many devices, all of them this CPU."""
     devices = {"JAX_PLATFORMS": "cpu", "JAX_NUM_CPU_DEVICES": str(number)}
     return os.environ | {"PYTHONPATH": python_path()} | devices
+
+
+@contextlib.contextmanager
+def ended_after(process: subprocess.Popen[Any], seconds: float = PATIENCE_S) -> Iterator[None]:
+    """Ends a process that takes longer: a read of its output meanwhile comes to the end of the pipe, and not never."""
+    timer = threading.Timer(seconds, process.kill)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def next_line(process: subprocess.Popen[AnyStr]) -> AnyStr:
+    """Next line on stdout of a process that a test has started; fails where none comes."""
+    assert process.stdout is not None
+    with ended_after(process):
+        line = process.stdout.readline()
+    assert line, f"a process said nothing in {PATIENCE_S:g} s, or ended ({process.poll()})"
+    return line
+
+
+def wait_until(condition: Callable[[], object], what: str, *, every: float = 0.02) -> None:
+    """Polls until the condition holds; fails after PATIENCE_S, with what was waited for."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"not within {PATIENCE_S:g} s: {what}"
+        time.sleep(every)
+
+
+def run_in_time(main: Coroutine[Any, Any, Result]) -> Result:
+    """As `asyncio.run`; raises TimeoutError, at the line that waits, after PATIENCE_S."""
+    return asyncio.run(asyncio.wait_for(main, PATIENCE_S))
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ import pytest
 
 from kinetix_dist.studio.server import background_command
 from kinetix_dist.studio.server.background_command import NICE, BackgroundCommand
-from tests.helpers import PATIENCE_S, REPOSITORY, python_path
+from tests.helpers import PATIENCE_S, REPOSITORY, next_line, python_path, run_in_time
 from tests.studio.serving import wait_for
 
 STUBBORN = """
@@ -61,7 +61,7 @@ print(sys.argv[1:], os.nice(0), os.environ["JAX_PLATFORMS"], repr(os.environ["CU
         nice = min(os.nice(0) + NICE, 19)
         assert command.lines == [f"['levels', '--a b'] {nice} cpu ''"]
 
-    asyncio.run(run())
+    run_in_time(run())
 
 
 def test_a_command_that_fails_has_its_status_and_its_last_line(tmp_path: Path) -> None:
@@ -72,7 +72,7 @@ def test_a_command_that_fails_has_its_status_and_its_last_line(tmp_path: Path) -
         assert await command.wait() == 3
         assert "no space" in command.lines and command.last_line in ("no space", "begins")
 
-    asyncio.run(run())
+    run_in_time(run())
 
 
 def test_a_command_that_does_not_end_is_killed_with_its_children(
@@ -91,7 +91,29 @@ def test_a_command_that_does_not_end_is_killed_with_its_children(
         await asyncio.to_thread(wait_for, lambda: not is_running(child))
         await command.end()  # has ended already
 
-    asyncio.run(run())
+    run_in_time(run())
+
+
+def test_a_process_that_left_its_group_with_the_output_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until Python 3.12 asyncio itself waits for the end of the output, where a process has ended."""
+    monkeypatch.setattr(background_command, "END_SECONDS", 0.3)
+    text = STUBBORN.replace('time.sleep(600)"])', 'time.sleep(600)"], start_new_session=True)')
+
+    async def run() -> None:
+        command = await BackgroundCommand.start([], module=script(tmp_path, text))
+        while not command.lines:
+            await asyncio.sleep(0.02)
+        child = psutil.Process(int(command.lines[0]))
+        try:
+            await command.end()
+            assert not is_running(command.pid) and is_running(child.pid)
+        finally:
+            child.kill()
+        assert await command.wait() == -signal.SIGKILL
+
+    run_in_time(run())
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
@@ -104,8 +126,7 @@ def test_a_command_ends_with_the_server(tmp_path: Path, number: signal.Signals) 
         cwd=REPOSITORY,
         env=os.environ | {"PYTHONPATH": python_path()},
     )
-    assert server.stdout is not None
-    pid = int(server.stdout.readline())
+    pid = int(next_line(server))
     wait_for(lambda: str(sleeper) in " ".join(psutil.Process(pid).cmdline()))
     server.send_signal(number)
     server.wait(PATIENCE_S)

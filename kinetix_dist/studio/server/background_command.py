@@ -72,7 +72,8 @@ class BackgroundCommand:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(self._process.wait(), END_SECONDS)
         self._signal(signal.SIGKILL)  # also children that it left behind
-        await self.wait()
+        with contextlib.suppress(TimeoutError):  # one in a process group of its own may keep the output open
+            await asyncio.wait_for(self.wait(), END_SECONDS)
 
     def _signal(self, number: signal.Signals) -> None:
         with contextlib.suppress(ProcessLookupError):
