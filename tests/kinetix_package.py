@@ -52,6 +52,7 @@ def run_package(folder: Path, request: dict[str, Any]) -> dict[str, np.ndarray]:
         env=environment | {"JAX_PLATFORMS": "cpu"},
         capture_output=True,
         text=True,
+        timeout=900,
     )
     assert ended.returncode == 0, ended.stderr[-2000:]
     with np.load(folder / "answer.npz") as archive:

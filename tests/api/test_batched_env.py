@@ -16,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 import kinetix_dist as kd
 from kinetix_dist import gymnasium_envs, prng
 from kinetix_dist.env.environment import Environment
-from tests.helpers import python_path
+from tests.helpers import PATIENCE_S, python_path
 
 MAX_STEPS = 3
 NUM_ENVS = 40  # more than restart at once
@@ -31,7 +31,9 @@ def env() -> kd.BatchedEnv:
 def test_importing_the_package_imports_no_jax() -> None:
     code = "import sys, kinetix_dist; print([name for name in ('jax', 'numpy', 'gymnasium') if name in sys.modules])"
     environment = os.environ | {"PYTHONPATH": python_path()}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment, timeout=PATIENCE_S
+    )
     assert done.stdout.strip() == "[]"
 
 

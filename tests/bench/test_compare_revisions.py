@@ -16,7 +16,7 @@ from tests.helpers import REPOSITORY, python_path
 def compare(*arguments: str, cwd: Path = REPOSITORY) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(REPOSITORY / "bench" / "compare_revisions.py"), *arguments]
     environment = os.environ | {"PYTHONPATH": python_path(), "JAX_PLATFORMS": "cpu"}
-    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd)
+    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=cwd, timeout=900)
 
 
 TINY = ("--sizes", "s", "--worlds", "4", "--steps", "4", "--repeats", "1")

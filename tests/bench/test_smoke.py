@@ -15,6 +15,7 @@ import pytest
 
 from bench import smoke
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
+from tests.helpers import next_line
 
 
 @pytest.mark.slow
@@ -82,8 +83,7 @@ def test_a_command_that_hears_nothing_is_ended_with_what_it_started(tmp_path: Pa
     child = "import subprocess, sys; print(subprocess.Popen(['sleep', '60']).pid, flush=True); "
     deaf = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"
     process = subprocess.Popen([sys.executable, "-c", child + deaf], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    pid, began = int(process.stdout.readline()), time.monotonic()
+    pid, began = int(next_line(process)), time.monotonic()
     time.sleep(0.3)  # until it is deaf
     assert smoke._end(process)
     assert time.monotonic() - began < 10 and process.returncode == -9

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.browser.test_pages import panel, wait_for_drawn
-from tests.helpers import REPOSITORY
+from tests.helpers import REPOSITORY, next_line
 from tests.studio.serving import Server, environment, serving
 
 PREFIX = "/kinetix/pages"
@@ -35,9 +35,8 @@ def proxied(trained: Path, request: pytest.FixtureRequest) -> Iterator[Proxied]:
 def _behind_proxy(server: Server, *options: str) -> Iterator[Proxied]:
     command = [sys.executable, "-m", "tests.browser.proxy", PREFIX, str(server.port), *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment(), cwd=REPOSITORY) as proxy:
-        assert proxy.stdout is not None
         try:
-            port = int(proxy.stdout.readline())
+            port = int(next_line(proxy))
             yield Proxied(port, f"http://127.0.0.1:{port}{PREFIX}/?token={server.token}")
         finally:
             proxy.kill()

@@ -11,7 +11,7 @@ import pytest
 
 from kinetix_dist.cli.main import COMMANDS, main
 from kinetix_dist.errors import UserError, one_line, user_errors
-from tests.helpers import REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY
 
 
 def run_command(*arguments: str, path: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -71,7 +71,9 @@ def test_a_current_directory_that_was_removed_is_one_line(name, tmp_path, monkey
 
 def test_importing_the_command_imports_nothing_heavy() -> None:
     check = "import sys, kinetix_dist.cli.main; print([m for m in ('jax', 'ray', 'warp', 'tyro') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, cwd=REPOSITORY, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", check], capture_output=True, text=True, cwd=REPOSITORY, check=True, timeout=PATIENCE_S
+    )
     assert done.stdout.strip() == "[]"
 
 

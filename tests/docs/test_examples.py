@@ -20,7 +20,7 @@ def run_example(name: str, *arguments: str) -> str:
     """Output of a script of examples/."""
     command = [sys.executable, str(REPOSITORY / "examples" / name), *arguments]
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY), "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

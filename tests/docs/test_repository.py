@@ -14,7 +14,7 @@ import pytest
 
 from kinetix_dist.checkpoint.store import pretrained_names
 from kinetix_dist.cli.main import COMMANDS, parse_args
-from tests.helpers import REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY
 
 README = (REPOSITORY / "README.md").read_text()
 MAKEFILE = (REPOSITORY / "Makefile").read_text()
@@ -165,7 +165,9 @@ def test_the_lock_satisfies_pyproject() -> None:
 def test_no_file_names_a_package_registry() -> None:
     """Whoever installs chooses the registry; a file that names one would override that choice."""
     hosts = ["pypi" + ".org", "python" + "hosted.org", "conda" + ".anaconda", "registry." + "npmjs"]
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+    )
     if listed.returncode != 0:
         pytest.skip("not a git checkout")
     for name in filter(None, listed.stdout.split("\0")):

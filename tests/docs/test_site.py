@@ -22,7 +22,7 @@ ELSEWHERE = ("//fonts.", "//cdn.", "unpkg.com", "jsdelivr", "googleapis")  # sit
 def test_the_site_builds_without_a_warning_and_fetches_nothing(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet", "--builder", "html"]
     command += ["--conf-dir", "docs", "--doctree-dir", str(tmp_path / "trees"), ".", str(tmp_path / "html")]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     index = (tmp_path / "html/docs/index.html").read_text()
     assert "Glossary" in index and not [address for address in ELSEWHERE if address in index]

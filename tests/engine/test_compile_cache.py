@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers import python_path
+from tests.helpers import PATIENCE_S, python_path
 
 STEP = """
 import jax
@@ -40,7 +40,9 @@ def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
     }
     printed, written = [], []
     for _ in range(2):
-        done = subprocess.run([sys.executable, "-c", STEP], env=environment, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", STEP], env=environment, capture_output=True, text=True, timeout=PATIENCE_S
+        )
         assert done.returncode == 0, done.stderr
         assert "CUDA" not in done.stderr  # Warp writes a line of its own on machines without a GPU
         printed.append(done.stdout)

@@ -16,7 +16,7 @@ from jax import export
 from jax2d.warp import ffi
 from tests.engine import exported_steps_program
 from tests.engine.exported_steps_program import NUM_WORLDS, engine, packed, step
-from tests.helpers import environment_of_cpus
+from tests.helpers import PATIENCE_S, environment_of_cpus
 
 
 @pytest.mark.long
@@ -38,7 +38,9 @@ def test_another_process_steps_to_the_same_bits(tmp_path: Path) -> None:
     file = tmp_path / "program"
     file.write_bytes(pickle.dumps((bytes(exported.serialize()), [launch])))
     command = [sys.executable, exported_steps_program.__file__, str(file)]
-    found = subprocess.run(command, env=environment_of_cpus(1), check=True, capture_output=True, text=True).stdout
+    found = subprocess.run(
+        command, env=environment_of_cpus(1), check=True, capture_output=True, text=True, timeout=PATIENCE_S
+    ).stdout
     assert found.splitlines()[-len(expected) :] == [table.tobytes().hex() for table in expected]
 
 

@@ -14,7 +14,7 @@ import pytest
 from jax2d.scene import Controls
 from kinetix_dist.env.action_spaces import ACTION_SPACES, ActionSpace
 from kinetix_dist.env.action_spaces.space import controls_of
-from tests.helpers import REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY
 from tests.kinetix_package import VARIABLE
 
 MULTI_DISCRETE, CONTINUOUS, DISCRETE = (ACTION_SPACES[name] for name in ("multi_discrete", "continuous", "discrete"))
@@ -80,7 +80,7 @@ def test_the_numbers_are_those_of_the_package_itself() -> None:
         pytest.skip(f"the public package is not here: set {VARIABLE} to a Python with kinetix-env 3.0.2")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     program = REPOSITORY / "bench" / "peers" / "kinetix_actions.py"
-    ended = subprocess.run([python, str(program)], env=environment, capture_output=True, text=True)
+    ended = subprocess.run([python, str(program)], env=environment, capture_output=True, text=True, timeout=PATIENCE_S)
     assert ended.returncode == 0, ended.stderr[-2000:]
     np.testing.assert_array_equal(json.loads(ended.stdout), PACKAGE_DISCRETE)
 

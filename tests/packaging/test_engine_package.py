@@ -14,7 +14,7 @@ from kinetix_dist.cli.doctor import check_engine
 from kinetix_dist.cli.main import COMMANDS, main
 from kinetix_dist.installation import ENGINE, engine_complaint, engine_note
 from tests.cli.test_main import assert_one_line, run_command
-from tests.helpers import REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY
 
 
 @pytest.fixture
@@ -60,7 +60,9 @@ def test_doctor_says_so_and_that_training_cannot_run(published, monkeypatch):
 def test_importing_what_needs_the_engine_says_so(published):
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(published), str(REPOSITORY)])}
     command = [sys.executable, "-P", "-c", "import kinetix_dist.config"]
-    said = subprocess.run(command, env=environment, capture_output=True, text=True).stderr.splitlines()
+    said = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=PATIENCE_S
+    ).stderr.splitlines()
     assert said[-1].startswith("kinetix_dist.installation.EngineImportError: the package jax2d at ")
 
 

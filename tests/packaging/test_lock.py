@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from tests.helpers import REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY
 
 BAD_JAX = {
     "0.10.2": "wrong sums on CPUs, jax-ml/jax#39103",
@@ -66,6 +66,7 @@ def _install(path: Path) -> str:
         env={"PATH": str(path)},
         capture_output=True,
         text=True,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 1, done

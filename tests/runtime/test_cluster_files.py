@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.helpers import REPOSITORY, python_path
+from tests.helpers import PATIENCE_S, REPOSITORY, python_path
 from tests.runtime.raylets import RAY
 from tests.runtime.test_stopping import STUBS, write_script
 from tests.runtime.train_process import TINY
@@ -82,6 +82,7 @@ def test_the_entrypoint_of_kuberay_begins_a_run_and_goes_on_with_it(tmp_path, ex
         env={"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"},
         capture_output=True,
         text=True,
+        timeout=PATIENCE_S,
         check=True,
     )
     resume = ["--resume"] if exists else []

@@ -28,6 +28,8 @@ from tests.helpers import compile_cache, environment_of_cpus
 from tests.runtime import closures_program, exported_rollout_program
 from tests.runtime.runs import tiny_config
 
+LIMIT_S = 300.0  # of a process that compiles
+
 
 @pytest.mark.long
 def test_another_process_reads_it_and_plays_the_same_bits(tmp_path: Path) -> None:
@@ -40,7 +42,9 @@ def test_another_process_reads_it_and_plays_the_same_bits(tmp_path: Path) -> Non
     (file,) = (tmp_path / CACHE).iterdir()
     written = file.stat().st_mtime_ns
     command = [sys.executable, exported_rollout_program.__file__, str(tmp_path)]
-    found = subprocess.run(command, env=environment_of_cpus(1), check=True, capture_output=True, text=True).stdout
+    found = subprocess.run(
+        command, env=environment_of_cpus(1), check=True, capture_output=True, text=True, timeout=LIMIT_S
+    ).stdout
     assert json.loads(found.splitlines()[-1]) == {"traced": 0, "content": traced["content"]}
     assert [file.stat().st_mtime_ns for file in (tmp_path / CACHE).iterdir()] == [written]
 
@@ -50,7 +54,9 @@ def test_all_code_that_runs_while_a_program_is_traced_is_part_of_its_key() -> No
     """Imports are followed by the text of sources: code that is reached otherwise could change unseen."""
     command = [sys.executable, closures_program.__file__]
     environment = environment_of_cpus(1) | {"JAX_ENABLE_COMPILATION_CACHE": "false"}
-    found = subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
+    found = subprocess.run(
+        command, env=environment, check=True, capture_output=True, text=True, timeout=5 * LIMIT_S
+    ).stdout
     assert json.loads(found.splitlines()[-1]) == {"levels": [], "rollouts": [], "updates": []}
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.models.kernels import support
+from tests.helpers import next_line
 from tests.runtime.sockets import listening, places_of
 from tests.runtime.train_process import TINY, kill_newest, rows, start, wait_for
 
@@ -31,7 +32,7 @@ def test_a_level_set_that_is_gone_when_a_worker_loads_it(tmp_path):
     shutil.copy(levels_root() / "s" / "kick.json", levels)
     fixed = ["--curriculum.name", "fixed", "--curriculum.levels", str(levels)]
     process = start(tmp_path / "run", *COLOCATED, *fixed)
-    assert process.stdout is not None and process.stdout.readline().startswith("training ")  # checked by the command
+    assert next_line(process).startswith("training ")  # checked by the command
     shutil.rmtree(levels)  # while Ray starts
     line = _the_line(process)
     log = tmp_path / "run" / "logs" / "worker_0.log"

@@ -143,7 +143,9 @@ def test_importing_starts_neither_a_device_nor_a_thread():
         "from warp._src import context\n"
         "print(xla_bridge._backends, context.runtime, threading.active_count())"
     )
-    done = subprocess.run([sys.executable, "-c", look, *MODULES], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", look, *MODULES], capture_output=True, text=True, check=True, timeout=LIMIT_S
+    )
     assert done.stdout.strip() == "{} None 1"
 
 
@@ -153,7 +155,9 @@ def test_it_ends_with_its_driver():
         "import os, signal; from kinetix_dist.runtime.processes.fork_server import ForkServer\n"
         "print(ForkServer().pid, flush=True); os.kill(os.getpid(), signal.SIGKILL)"
     )
-    done = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, check=False, timeout=LIMIT_S
+    )
     pid, deadline = int(done.stdout), time.monotonic() + LIMIT_S
     while psutil.pid_exists(pid):
         assert time.monotonic() < deadline

@@ -24,7 +24,7 @@ from kinetix_dist.runtime.processes.gpu_memory import (
     thread_bytes,
 )
 from kinetix_dist.runtime.processes.placement import plan_placement
-from tests.helpers import python_path
+from tests.helpers import PATIENCE_S, python_path
 from tests.runtime.runs import without_evaluator
 
 # 143,771 MiB, of which the driver keeps 615.
@@ -183,5 +183,7 @@ def test_imports_do_not_start_jax_before_the_memory_budget_is_set():
         "assert not xla_bridge.backends_are_initialized(), 'a module computes while it is imported'"
     )
     environment = {**os.environ, "PYTHONPATH": python_path()}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+    )
     assert done.returncode == 0, done.stderr

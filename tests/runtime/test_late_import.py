@@ -19,7 +19,9 @@ from tests.helpers import PATIENCE_S, environment_of_cpus
 def test_it_is_not_imported_with_what_trains() -> None:
     program = "import sys; import kinetix_dist.runtime.driver.training_run; print('tensorboardX' in sys.modules)"
     command = [sys.executable, "-c", program]
-    found = subprocess.run(command, env=environment_of_cpus(1), check=True, capture_output=True, text=True).stdout
+    found = subprocess.run(
+        command, env=environment_of_cpus(1), check=True, capture_output=True, text=True, timeout=PATIENCE_S
+    ).stdout
     assert found.split() == ["False"]
 
 

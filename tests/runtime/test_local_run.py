@@ -270,7 +270,12 @@ def test_a_run_killed_by_sigkill_and_resumed_equals_an_unbroken_one_bit_for_bit(
     saved_at = int(list_checkpoints(killed / "checkpoints")[-1].name)
     assert 0 < saved_at < num_updates
     resumed = subprocess.run(
-        [*command, "--run", str(killed), "--resume"], env=environment, cwd=REPOSITORY, capture_output=True, text=True
+        [*command, "--run", str(killed), "--resume"],
+        env=environment,
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        timeout=300,
     )
     assert resumed.returncode == 0, resumed.stderr
 

@@ -15,7 +15,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.runtime.processes.failures import RayFailedError
 from kinetix_dist.runtime.processes.placement import PlacementError
 from kinetix_dist.runtime.processes.ray_setup import own_signals, secure_token, use_token, without_services
-from tests.helpers import REPOSITORY, python_path
+from tests.helpers import REPOSITORY, next_line, python_path
 
 TINY_ON_RAY = ["train", "--recipe", "tiny", "--evaluation.sets", "s/kick", "--run.placement", "colocated"]
 
@@ -108,8 +108,7 @@ def test_a_wrong_and_a_missing_token_are_refused_in_one_line(home):
         [sys.executable, "-c", HEAD], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     try:
-        assert head.stdout is not None
-        environment["RAY_ADDRESS"] = head.stdout.readline().strip()
+        environment["RAY_ADDRESS"] = next_line(head).strip()
         (home / "elsewhere").mkdir()
         for name, change in (("wrong", {"RAY_AUTH_TOKEN": "c" * 64}), ("missing", {"HOME": str(home / "elsewhere")})):
             command = [sys.executable, "-m", "kinetix_dist.cli.main", *TINY_ON_RAY, "--run", str(home / name)]

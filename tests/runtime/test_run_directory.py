@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from kinetix_dist.runtime.driver.run_directory import RunDirectory, RunDirectoryError, RunInUseError, newest_run
+from tests.helpers import next_line
 
 
 def _make_run(path, *, numbered=True):
@@ -41,7 +42,7 @@ def test_a_second_driver_in_another_process_is_refused_until_the_first_is_gone(t
         [sys.executable, "-c", code, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     try:
-        assert other.stdout is not None and other.stdout.readline() == "locked\n"
+        assert next_line(other) == "locked\n"
         with pytest.raises(RunInUseError, match=f"in use by process {other.pid}"):
             RunDirectory.open_existing(path)
     finally:

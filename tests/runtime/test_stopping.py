@@ -23,7 +23,7 @@ from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StoppedError, Sto
 from kinetix_dist.runtime.processes.local import LocalBackend
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.runtime.processes.ray_setup import SERVERS
-from tests.helpers import PATIENCE_S, REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY, next_line
 from tests.runtime.conftest import NUM_UPDATES, STEPS
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, tiny_config
 from tests.runtime.train_process import TINY, events, rows, start, wait_for
@@ -84,7 +84,7 @@ def test_a_run_that_was_stopped_goes_on_bit_for_bit(finished_run, tmp_path):
 def test_while_it_starts_a_run_ends_at_once(tmp_path):
     run = tmp_path / "run"
     process = start(run, *TINY, *FOR_EVER)
-    assert process.stdout is not None and process.stdout.readline().startswith("training ")
+    assert next_line(process).startswith("training ")
     status, seconds, line = _stopped(process, signal.SIGINT)
     assert (status, seconds < LIMIT_S) == (EXIT_STOPPED, True)
     assert ("stopped by SIGINT" in line and "--resume" in line) or "before the run began" in line
@@ -189,9 +189,9 @@ def _slow(limit_s, where):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    assert process.stdout.readline() == b"updating\n"
+    assert next_line(process) == b"updating\n"
     if where != "update":
-        assert process.stdout.readline() == b"between\n"
+        assert next_line(process) == b"between\n"
     return process
 
 

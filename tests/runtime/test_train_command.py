@@ -23,7 +23,7 @@ from kinetix_dist.evaluation import evaluation_sets
 from kinetix_dist.level.generator_config import LOCOMOTION_FAMILIES, GeneratorConfig, generator
 from kinetix_dist.recipes import FAMILY_WEIGHTS, recipe
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
-from tests.helpers import REPOSITORY, python_path
+from tests.helpers import PATIENCE_S, REPOSITORY, python_path
 
 
 @pytest.fixture(autouse=True)
@@ -545,5 +545,7 @@ def test_the_command_keeps_off_gpus_before_it_reads_levels(options, tmp_path):
     environment = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
     command = [sys.executable, "-c", code, "train", "--recipe", "tiny", *options.split()]
     environment |= {"PYTHONPATH": python_path()}
-    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+    )
     assert done.returncode == 2 and "platforms cpu" in done.stderr, done.stderr

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tests.helpers import PATIENCE_S, python_path
+from tests.helpers import PATIENCE_S, ended_after, python_path
 
 START_SECONDS = 60.0
 
@@ -80,10 +80,11 @@ def serving(*arguments: str | Path, name: str = "dashboard", **more: str) -> Ite
     assert process.stdout is not None
     lines: list[str] = []
     try:
-        while not any("Ctrl-C" in line for line in lines):
-            line = process.stdout.readline()
-            assert line, f"the server ended: {lines}"
-            lines.append(line)
+        with ended_after(process):
+            while not any("Ctrl-C" in line for line in lines):
+                line = process.stdout.readline()
+                assert line, f"the server ended, or did not begin in {PATIENCE_S:g} s: {lines}"
+                lines.append(line)
         yield Server(process, lines)
     finally:
         end(process)

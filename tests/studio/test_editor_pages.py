@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers import PATIENCE_S, REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY, next_line
 from tests.studio.serving import Server, command, end, environment, serving
 
 LEVEL = (REPOSITORY / "levels" / "s" / "hop_home.json").read_bytes()
@@ -90,8 +90,7 @@ def test_results_of_searches_alone_in_runs_do_not_keep_the_editor_from_starting(
         env=environment(),
         cwd=tmp_path,
     )
-    assert server.stdout is not None
-    assert "http://127.0.0.1" in server.stdout.readline()
+    assert "http://127.0.0.1" in next_line(server)
     end(server)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from kinetix_dist.studio.worker import frames
 from kinetix_dist.studio.worker.frames import Frame, FrameSizes
-from tests.helpers import REPOSITORY
+from tests.helpers import PATIENCE_S, REPOSITORY
 
 SIZES = FrameSizes(shapes=16, joints=6, thrusters=2, outputs=16)
 
@@ -63,4 +63,4 @@ def test_bytes_of_other_sizes_or_another_version_are_refused() -> None:
 
 def test_a_server_can_import_both_without_jax() -> None:
     code = "import sys; from kinetix_dist.studio.worker import frames, wire; sys.exit('jax' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, timeout=PATIENCE_S).returncode == 0

@@ -18,6 +18,7 @@ from kinetix_dist.studio.server.run_service import RunService
 from kinetix_dist.studio.server.teaching import BusyError, Job, Teaching, TeachingError, file_name
 from kinetix_dist.studio.worker.wire import Message
 from kinetix_dist.telemetry.status import Status
+from tests.helpers import run_in_time
 
 DOCUMENT = json.loads((levels_root() / "s" / "hop_home.json").read_text())
 PROOF = levels_root() / "proofs" / "s" / "hop_home.json"
@@ -100,7 +101,7 @@ def outcome(of: Teaching, kind: str = "teach") -> Job:
             await asyncio.sleep(0.02)
         return job
 
-    return asyncio.run(run())
+    return run_in_time(run())
 
 
 def files_of(tmp_path: Path) -> set[str]:
@@ -158,7 +159,7 @@ def test_each_stage_is_named_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
                 stages.append(job.stage)
             await asyncio.sleep(0.01)
 
-    asyncio.run(run())
+    run_in_time(run())
     imitating, proving = (["imitating"], []) if found else ([], ["proving"])
     expected = ["searching", "trying", *imitating, "compiling", "training", "evaluating", *proving]
     assert [stage for stage in stages if stage != "checking"] == expected
@@ -221,7 +222,7 @@ def test_cancelling_ends_it_within_seconds_and_leaves_nothing(tmp_path: Path) ->
         assert (await of.begin("solve", DOCUMENT, 60)).number == 2
         await of.cancel()
 
-    asyncio.run(run())
+    run_in_time(run())
 
 
 def test_results_of_the_same_second_do_not_overwrite_each_other(

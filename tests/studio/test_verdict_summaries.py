@@ -12,7 +12,7 @@ import pytest
 from kinetix_dist.studio.runs.run_index import summary
 from kinetix_dist.studio.server import verdict_summaries
 from kinetix_dist.studio.server.verdict_summaries import NO_VERDICT, Judge, Summary, VerdictSummaries
-from tests.helpers import PATIENCE_S
+from tests.helpers import PATIENCE_S, run_in_time
 from tests.studio.runs_for_tests import write_config, write_rows
 from tests.studio.serving import serving, wait_for
 from tests.studio.verdict_runs import write_collapsed, write_learning
@@ -103,7 +103,7 @@ def test_a_run_is_judged_again_when_its_files_change_but_not_at_once(
                 await asyncio.sleep(0.01)
         await verdicts.close()
 
-    asyncio.run(see())
+    run_in_time(see())
 
 
 def test_one_run_is_judged_at_a_time_and_those_that_are_not_shown_any_more_are_not(tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_one_run_is_judged_at_a_time_and_those_that_are_not_shown_any_more_are_n
                 await asyncio.sleep(0.01)
         await verdicts.close()
 
-    asyncio.run(see())
+    run_in_time(see())
     assert calls == ["a", "c"]
 
 
@@ -149,5 +149,5 @@ def test_a_bug_in_a_verdict_is_said_and_ends_nothing(tmp_path: Path, capfd: pyte
         await verdicts.close()
         return found
 
-    assert asyncio.run(see()) == [NO_VERDICT, WORKS, NO_VERDICT]
+    assert run_in_time(see()) == [NO_VERDICT, WORKS, NO_VERDICT]
     assert capfd.readouterr().err.count("AssertionError: a mistake") == 2

@@ -19,6 +19,7 @@ from kinetix_dist.studio.server.level_pages import recording_files, recording_pa
 from kinetix_dist.studio.server.run_service import UnknownRunError
 from kinetix_dist.studio.server.worker_client import GONE, HUNG, OFF, WorkerClient, WorkerError
 from kinetix_dist.studio.worker.process import NICE
+from tests.helpers import run_in_time
 from tests.studio.runs_for_tests import write_run
 from tests.studio.serving import Server, serving, wait_for
 
@@ -52,7 +53,7 @@ def test_a_request_is_answered_by_its_reply() -> None:
         await worker.close()
         assert pid is not None and not psutil.pid_exists(pid) and worker.pid is None
 
-    asyncio.run(talk())
+    run_in_time(talk())
 
 
 def test_a_worker_that_dies_fails_what_waits_and_the_next_request_starts_another() -> None:
@@ -69,7 +70,7 @@ def test_a_worker_that_dies_fails_what_waits_and_the_next_request_starts_another
         assert pids[0] != pids[1]
         await worker.close()
 
-    asyncio.run(talk())
+    run_in_time(talk())
 
 
 def test_a_worker_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,7 +87,7 @@ def test_a_worker_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
             await asyncio.sleep(0.02)
         await worker.close()
 
-    asyncio.run(talk())
+    run_in_time(talk())
 
 
 def test_a_cancelled_request_is_cancelled_in_the_worker() -> None:
@@ -106,7 +107,7 @@ def test_a_cancelled_request_is_cancelled_in_the_worker() -> None:
         assert reply.content["was"] == {"type": "cancel", "id": 1}
         await worker.close()
 
-    asyncio.run(talk())
+    run_in_time(talk())
 
 
 @pytest.mark.parametrize(
@@ -123,7 +124,7 @@ def test_other_ends_of_a_worker_are_one_line(line: str, text: str) -> None:
             await worker.request("anything", {})
         await worker.close()
 
-    asyncio.run(talk())
+    run_in_time(talk())
 
 
 def test_a_jax_that_the_worker_does_not_run_with_is_said_in_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,7 +133,7 @@ def test_a_jax_that_the_worker_does_not_run_with_is_said_in_its_line(monkeypatch
             await WorkerClient().hello()
 
     monkeypatch.setenv("JAX_NUMPY_RANK_PROMOTION", "raise")
-    asyncio.run(talk())
+    run_in_time(talk())
 
 
 def test_one_of_another_version_is_refused() -> None:
@@ -141,7 +142,7 @@ def test_one_of_another_version_is_refused() -> None:
         with pytest.raises(WorkerError, match="speaks version 99"):
             await WorkerClient(command=command).hello()
 
-    asyncio.run(talk())
+    run_in_time(talk())
 
 
 def test_one_that_imports_another_checkout_is_refused() -> None:
@@ -150,7 +151,7 @@ def test_one_that_imports_another_checkout_is_refused() -> None:
         with pytest.raises(WorkerError, match="imports kinetix_dist from /other/kinetix_dist instead of"):
             await WorkerClient(command=(sys.executable, "-c", code)).hello()
 
-    asyncio.run(talk())
+    run_in_time(talk())
 
 
 def test_without_play_none_is_started() -> None:
@@ -160,7 +161,7 @@ def test_without_play_none_is_started() -> None:
             await worker.hello()
         assert error.value.code == OFF and worker.pid is None
 
-    asyncio.run(talk())
+    run_in_time(talk())
 
 
 def test_recordings_are_those_that_lie_in_the_run(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import pytest
 from bench.worker_client import WORKER, Client
 from kinetix_dist.child_python import command_of
 from kinetix_dist.studio.worker.process import IDLE_VARIABLE, NICE
-from tests.helpers import PATIENCE_S, REPOSITORY, python_path
+from tests.helpers import PATIENCE_S, REPOSITORY, next_line, python_path, wait_until
 from tests.studio.test_worker import LONG, document
 
 
@@ -54,10 +54,11 @@ def test_it_ends_when_its_parent_is_killed_though_the_pipe_stays_open(tmp_path: 
         cwd=REPOSITORY,
         env=os.environ | {"PYTHONPATH": python_path()},
     )
-    assert parent.stdout is not None
-    worker = int(parent.stdout.readline())
-    while b"hello" not in (tmp_path / "out").read_bytes():
-        time.sleep(0.1)
+    worker = int(next_line(parent))
+    wait_until(
+        lambda: b"hello" in (tmp_path / "out").read_bytes() or parent.poll() is not None, "the worker begins", every=0.1
+    )
+    assert parent.poll() is None, (tmp_path / "log").read_text()  # it ends with the worker
     parent.kill()
     parent.wait()
     wait_for_end(worker, PATIENCE_S)
@@ -97,5 +98,12 @@ def test_it_sees_no_gpu_and_computes_on_the_cpu(tmp_path: Path) -> None:
         "assert os.environ['CUDA_VISIBLE_DEVICES'] == ''; assert jax.default_backend() == 'cpu'; print('ok')"
     )
     environment = os.environ | {"PYTHONPATH": python_path(), "JAX_PLATFORMS": "", "CUDA_VISIBLE_DEVICES": "0"}
-    done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=REPOSITORY,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
     assert done.stdout.strip() == "ok", done.stderr

@@ -21,6 +21,7 @@ from kinetix_dist.telemetry.curriculum_log import (
     thin_snapshots,
     write_snapshot,
 )
+from tests.helpers import PATIENCE_S
 
 
 def _arrays(number, num_levels=3):
@@ -159,5 +160,5 @@ def test_one_snapshot_is_too_few():
 def test_readers_need_no_jax():
     modules = "kinetix_dist.telemetry.curriculum_log, kinetix_dist.telemetry.status"
     code = f"import sys, {modules}; print([name for name in sys.modules if name.split('.')[0] in ('jax', 'flax')])"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S)
     assert found.stdout.strip() == "[]"

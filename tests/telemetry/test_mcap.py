@@ -25,7 +25,7 @@ from kinetix_dist.telemetry.recording import RecordingError, Rollout
 from kinetix_dist.telemetry.rollout_schema import FIELDS, FILE_NAME
 from kinetix_dist.telemetry.sinks import mcap as sink_module
 from kinetix_dist.telemetry.sinks.mcap import METADATA_NAME, SCENE_TOPIC, TOPIC, McapSink, RolloutWriter
-from tests.helpers import REPOSITORY
+from tests.helpers import REPOSITORY, next_line, wait_until
 from tests.telemetry.worlds import GREY_TRIANGLE, LEVEL_JSON, decode_level, falling_rollout
 
 ARRAYS = ("position", "angle", "velocity", "angular_velocity", "actions", "motor", "thruster", "reward")
@@ -218,6 +218,7 @@ sink = McapSink(sys.argv[1])
 for k in range(5):
     assert sink.write(falling_rollout(10 + k, seed=k))
 while sink.stats().written < 5:
+    assert sink.stats().error is None, sink.stats()
     time.sleep(0.01)
 print("written", flush=True)
 time.sleep(60)
@@ -230,8 +231,7 @@ def test_nothing_flushed_is_lost_when_the_writer_is_killed(tmp_path: Path) -> No
     process = subprocess.Popen(
         [sys.executable, "-c", KILLED_WRITER, str(path)], stdout=subprocess.PIPE, text=True, env=environment
     )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "written\n"
+    assert next_line(process) == "written\n"
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     recording = read_recording(path, decode_level)
@@ -260,8 +260,7 @@ def test_a_slow_disk_drops_rollouts_counts_them_and_never_stalls_the_caller(tmp_
     sink._writer.write = lambda rollout: (may_write.wait(), write_for_real(rollout))  # a disk that hangs
     rollout = falling_rollout(5)
     sink.write(rollout)
-    while sink.stats().queued:  # the thread has taken the first and hangs in it
-        time.sleep(0.001)
+    wait_until(lambda: not sink.stats().queued, "the thread takes the first, and hangs in it", every=0.001)
     started = time.perf_counter()
     accepted = [sink.write(rollout) for _ in range(10)]
     assert time.perf_counter() - started < 0.2  # ten calls; each would hang forever if it waited for the disk
