@@ -108,9 +108,7 @@ class ImitationConfig:
     batch_size: int = setting(128, minimum=1)  # samples of a gradient step
     learning_rate: float = setting(5e-4, above=0)  # at first; it falls to 0 linearly
     class_balance: float = setting(0.0, minimum=0, maximum=1)  # 1: rare choices of an action weigh as much as common
-    held_out: float = setting(
-        0.1, minimum=0, below=1
-    )  # share of the levels of a data set that is left out, to score on; 0: none
+    held_out: float = setting(0.1, minimum=0, below=1)  # share of the levels that is left out, to score on; 0: none
     every: int = setting(250, minimum=1)  # gradient steps between evaluations on them
     patience: int = setting(0, minimum=0)  # evaluations with no more actions alike, after which it stops; 0: never
     skip_damaged: bool = False  # leave out shards of a data set that are damaged or missing, and count them
