@@ -367,7 +367,7 @@ struct Contacts {
 
   // One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes
   // back the velocity that the push added, and applies friction. In later rounds of it what bounces leaves.
-  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int round) {
+  KFN void solve_soft(Bodies& bodies, Joints& joints, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
     for (int i = 0; i < count; ++i) {
@@ -411,7 +411,7 @@ struct Contacts {
       bool shares = active.shares(c.a, c.b);
       if (shares) c.is_impact = true;
       if (c.is_impact && round == 0) {
-        real change = solve_block(pair, c, arms, bias, surfaces.speed_of(i));
+        real change = solve_impact(bodies, joints, pair, c, arms, bias, surfaces.speed_of(i));
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
@@ -440,32 +440,53 @@ struct Contacts {
     }
   }
 
+  // What impulses along the normal and the tangent of a contact change of its speeds along them.
+  struct Response {
+    real nn, nt, tt;
+  };
+
   // Normal and friction of an impact together, as each changes the other's speed: it sticks, or slides at Coulomb's limit.
-  // Returns by how much (m/s) it changed a speed.
-  KFN static real solve_block(Pair& pair, Contact& c, Arms arms, real bias, real wanted) {
+  // What is jointed to the bodies answers at once. Returns by how much (m/s) it changed a speed.
+  KFN real solve_impact(Bodies& bodies, Joints& joints, Pair& pair, Contact& c, Arms arms, real bias, real wanted) {
     Vec2 tangent = c.normal.right();
-    Vec2 v = pair.relative(arms.a, arms.b);
-    real vn = c.normal.dot(v) + bias, vt = tangent.dot(v) - wanted;
-    real na = arms.a.cross(c.normal), nb = arms.b.cross(c.normal), ta = arms.a.cross(tangent), tb = arms.b.cross(tangent);
-    real mass = pair.inverse_mass_a + pair.inverse_mass_b;
-    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
-    real knn = Fused::of(ib * nb, nb, Fused::of(ia * na, na, mass));
-    real ktt = Fused::of(ib * tb, tb, Fused::of(ia * ta, ta, mass));
-    real knt = Fused::of(ib * nb, tb, ia * na * ta);
-    Vec2 stick = Symmetric::solve(knn, knt, ktt, {vn, vt});
-    real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
-    if (n < real(0) || Math::abs(t) > c.friction * n) {
-      // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
-      real closing = knn * c.impulse_normal + knt * c.impulse_tangent - vn;  // without its impulses
-      real side = t > real(0) ? c.friction : -c.friction, k = knn + side * knt;
-      n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
-      t = side * n;
+    unsigned int jointed[JOINT_WORDS];
+    bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(bodies, c.a, c.b, jointed);
+    Response moves = {real(0), real(0), real(0)};
+    for (int along_tangent = 0; along_tangent < 2; ++along_tangent) {
+      Pair change = pair.at_rest();
+      change.apply_impulse(arms.a, arms.b, along_tangent ? tangent : c.normal);
+      if (is_jointed) joints.add_answer(bodies, jointed, change);
+      Vec2 speed = change.relative(arms.a, arms.b);
+      if (along_tangent) moves.tt = tangent.dot(speed);
+      else moves = {c.normal.dot(speed), tangent.dot(speed), real(0)};
     }
-    pair.apply_impulse(arms.a, arms.b, c.normal * (n - c.impulse_normal) + tangent * (t - c.impulse_tangent));
-    real change = Math::max(Math::abs(n - c.impulse_normal) * knn, Math::abs(t - c.impulse_tangent) * ktt);
-    c.impulse_normal = n;
-    c.impulse_tangent = t;
-    return change;
+    Vec2 v = pair.relative(arms.a, arms.b);
+    Vec2 impulse = find_impact(c, {c.normal.dot(v) + bias, tangent.dot(v) - wanted}, moves);
+    Vec2 added = {impulse.x - c.impulse_normal, impulse.y - c.impulse_tangent};
+    c.impulse_normal = impulse.x;
+    c.impulse_tangent = impulse.y;
+    Pair change = pair.at_rest();
+    change.apply_impulse(arms.a, arms.b, (c.normal * added.x).plus(tangent, added.y));
+    pair.add(change);
+    if (is_jointed) {
+      pair.write_back(bodies);
+      joints.find_answer(bodies, jointed, change);
+      joints.push(bodies, jointed, active);
+      pair = Pair::of(bodies, c.a, c.b);
+    }
+    return Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
+  }
+
+  // Impulses along the normal and the tangent that leave neither of these speeds, or slide.
+  KFN static Vec2 find_impact(const Contact& c, Vec2 speeds, Response moves) {
+    Vec2 stick = Symmetric::solve(moves.nn, moves.nt, moves.tt, speeds);
+    real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
+    if (n >= real(0) && Math::abs(t) <= c.friction * n) return {n, t};
+    // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
+    real closing = moves.nn * c.impulse_normal + moves.nt * c.impulse_tangent - speeds.x;  // without its impulses
+    real side = t > real(0) ? c.friction : -c.friction, k = moves.nn + side * moves.nt;
+    n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
+    return {n, side * n};
   }
 
   // Towards the `wanted` speed of b against a along the tangent.

@@ -231,6 +231,67 @@ struct Joints {
     }
   }
 
+  // The articulations of two bodies; False if there are none.
+  KFN bool find_articulations(const Bodies& bodies, int a, int b, unsigned int* which) const {
+    unsigned int ends[JOINT_WORDS];  // their last joints
+    JointSystem::clear(ends);
+    JointSystem::clear(which);
+    bool any = false;
+    for (int k = 0; k < count; ++k) {
+      bool of_a = bodies.is_dynamic(a) && (list[k].a == a || list[k].b == a);
+      bool of_b = bodies.is_dynamic(b) && (list[k].a == b || list[k].b == b);
+      if (!of_a && !of_b) continue;
+      JointSystem::add(ends, system.last[k]);
+      any = true;
+    }
+    for (int k = 0; k < count && any; ++k)
+      if (JointSystem::has(ends, system.last[k])) JointSystem::add(which, k);
+    return any;
+  }
+
+  // Right sides of what articulations answer to a change of the velocities of two bodies, so that rows keep their speeds.
+  KFN void find_answer(const Bodies& bodies, const unsigned int* which, const Pair& change) {
+    for (EachJoint k = EachJoint::of(which); k.next();)
+      system.x[k.joint] = rows_of(k.joint).speeds(seen_by(bodies, k.joint, change));
+    system.eliminate(which, false);
+  }
+
+  // The same for a change of two bodies alone, to which their joints' answer is added.
+  KFN void add_answer(const Bodies& bodies, const unsigned int* which, Pair& change) {
+    find_answer(bodies, which, change);
+    Pair none = change.at_rest();
+    for (int k = count - 1; k >= 0; --k) {
+      if (!JointSystem::has(which, k)) continue;
+      Vec3 impulse = -system.substitute(k);
+      Pair pair = seen_by(bodies, k, none);
+      rows_of(k).push(pair, impulse);
+      for (int is_b = 0; is_b < 2; ++is_b) {
+        int body = is_b ? pair.b : pair.a;
+        Vec2 v = is_b ? pair.velocity_b : pair.velocity_a;
+        real w = is_b ? pair.omega_b : pair.omega_a;
+        if (body == change.a) {
+          change.velocity_a = change.velocity_a + v;
+          change.omega_a += w;
+        } else if (body == change.b) {
+          change.velocity_b = change.velocity_b + v;
+          change.omega_b += w;
+        }
+      }
+    }
+  }
+
+  // The pair of joint k, with velocities that two bodies have and all others have not.
+  KFN Pair seen_by(const Bodies& bodies, int k, const Pair& two) const {
+    Pair pair = Pair::of(bodies, list[k].a, list[k].b);
+    bool a_is_a = pair.a == two.a, a_is_b = pair.a == two.b, b_is_a = pair.b == two.a, b_is_b = pair.b == two.b;
+    Vec2 none = {real(0), real(0)};
+    pair.velocity_a = a_is_a ? two.velocity_a : (a_is_b ? two.velocity_b : none);
+    pair.velocity_b = b_is_a ? two.velocity_a : (b_is_b ? two.velocity_b : none);
+    pair.omega_a = a_is_a ? two.omega_a : (a_is_b ? two.omega_b : real(0));
+    pair.omega_b = b_is_a ? two.omega_a : (b_is_b ? two.omega_b : real(0));
+    return pair;
+  }
+
   // Where bodies stand, and what drives and bounds axes.
   KFN void begin(const Bodies& bodies, const Soft& soft, bool use_bias) {
     for (EachJoint k = EachJoint::of(included); k.next();) {
