@@ -450,7 +450,7 @@ struct Contacts {
   KFN real solve_impact(Bodies& bodies, Joints& joints, Pair& pair, Contact& c, Arms arms, real bias, real wanted) {
     Vec2 tangent = c.normal.right();
     unsigned int jointed[JOINT_WORDS];
-    bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(bodies, c.a, c.b, jointed);
+    bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
     Response moves = {real(0), real(0), real(0)};
     for (int along_tangent = 0; along_tangent < 2; ++along_tangent) {
       Pair change = pair.at_rest();

@@ -11,6 +11,8 @@ struct Joints {
   ARRAY(Drive, drives, HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1);
   ARRAY(unsigned int, included, JOINT_WORDS);  // a bit a joint that a pass is about
   ARRAY(unsigned int, repeated, JOINT_WORDS);  // the same: for which it is a repeated one, of an impact
+  ARRAY(int, articulation, NUM_JOINTS > 0 ? NUM_SHAPES : 1);  // of each body: its last joint, -1: none
+  ARRAY(unsigned int, members, (NUM_JOINTS + 1) * JOINT_WORDS);  // a row an articulation, at its last joint: a bit a joint
   JointSystem system;
   Springs springs;
   int count;
@@ -40,6 +42,16 @@ struct Joints {
         system.add(system.after_of(i), k);
       }
     system.find_order();
+    for (int i = 0; i < NUM_SHAPES; ++i) articulation[i] = -1;
+    for (int k = 0; k < count; ++k) JointSystem::clear(members_of(k));
+    // `find_order` has put joints in the order of elimination, but their bodies are loaded later.
+    for (int k = 0; k < count; ++k) {
+      int packed = ints.get(INTS_JOINTS + system.order[k]);
+      int a = Slot::shape(packed >> JOINTS_A_SHIFT & JOINTS_A_MASK), b = Slot::shape(packed >> JOINTS_B_SHIFT & JOINTS_B_MASK);
+      if (bodies.is_dynamic(a)) articulation[a] = system.last[k];
+      if (bodies.is_dynamic(b)) articulation[b] = system.last[k];
+      JointSystem::add(members_of(system.last[k]), k);
+    }
   }
 
   KFN static bool shares_body(const Bodies& bodies, const Joint& one, const Joint& other) {
@@ -231,28 +243,23 @@ struct Joints {
     }
   }
 
-  // The articulations of two bodies; False if there are none.
-  KFN bool find_articulations(const Bodies& bodies, int a, int b, unsigned int* which) const {
-    unsigned int ends[JOINT_WORDS];  // their last joints
-    JointSystem::clear(ends);
+  // Joints of the articulations of two bodies; False if they have none.
+  KFN bool find_articulations(int a, int b, unsigned int* which) const {
+    if (count == 0 || (articulation[a] < 0 && articulation[b] < 0)) return false;
     JointSystem::clear(which);
-    bool any = false;
-    for (int k = 0; k < count; ++k) {
-      bool of_a = bodies.is_dynamic(a) && (list[k].a == a || list[k].b == a);
-      bool of_b = bodies.is_dynamic(b) && (list[k].a == b || list[k].b == b);
-      if (!of_a && !of_b) continue;
-      JointSystem::add(ends, system.last[k]);
-      any = true;
-    }
-    for (int k = 0; k < count && any; ++k)
-      if (JointSystem::has(ends, system.last[k])) JointSystem::add(which, k);
-    return any;
+    if (articulation[a] >= 0) JointSystem::add_all(which, members_of(articulation[a]));
+    if (articulation[b] >= 0) JointSystem::add_all(which, members_of(articulation[b]));
+    return true;
   }
+
+  KFN unsigned int* members_of(int last) const { return members + last * JOINT_WORDS; }
 
   // Right sides of what articulations answer to a change of the velocities of two bodies, so that rows keep their speeds.
   KFN void find_answer(const Bodies& bodies, const unsigned int* which, const Pair& change) {
-    for (EachJoint k = EachJoint::of(which); k.next();)
-      system.x[k.joint] = rows_of(k.joint).speeds(seen_by(bodies, k.joint, change));
+    for (EachJoint k = EachJoint::of(which); k.next();) {
+      bool is_theirs = has_one_of(list[k.joint], change);
+      system.x[k.joint] = is_theirs ? rows_of(k.joint).speeds(seen_by(bodies, k.joint, change)) : Vec3{real(0), real(0), real(0)};
+    }
     system.eliminate(which, false);
   }
 
@@ -263,6 +270,7 @@ struct Joints {
     for (int k = count - 1; k >= 0; --k) {
       if (!JointSystem::has(which, k)) continue;
       Vec3 impulse = -system.substitute(k);
+      if (!has_one_of(list[k], change)) continue;
       Pair pair = seen_by(bodies, k, none);
       rows_of(k).push(pair, impulse);
       for (int is_b = 0; is_b < 2; ++is_b) {
@@ -278,6 +286,10 @@ struct Joints {
         }
       }
     }
+  }
+
+  KFN static bool has_one_of(const Joint& joint, const Pair& two) {
+    return joint.a == two.a || joint.a == two.b || joint.b == two.a || joint.b == two.b;
   }
 
   // The pair of joint k, with velocities that two bodies have and all others have not.
