@@ -370,6 +370,7 @@ struct Contacts {
   KFN void solve_soft(Bodies& bodies, Joints& joints, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
+    Response first_moves = {real(0), real(0), real(0)}, second_moves = first_moves;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (active.leaves_out(c.a, c.b)) continue;
@@ -397,6 +398,8 @@ struct Contacts {
         bias = Fused::of(mass_scale, closes_by(pair, c, arms, soft), bias);
       real vn = c.normal.dot(pair.relative(arms.a, arms.b));
       bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
+      unsigned int jointed[JOINT_WORDS];
+      bool is_jointed = NUM_JOINTS > 0 && round == 0 && joints.find_articulations(c.a, c.b, jointed);
       real mass = c.mass_normal, mass_tangent = c.mass_tangent;
       if (!c.against_fixed) {
         if (!bounces || round == 1) mass = c.mass_normal = pair.mass(arms.a, arms.b, c.normal);
@@ -411,7 +414,17 @@ struct Contacts {
       bool shares = active.shares(c.a, c.b);
       if (shares) c.is_impact = true;
       if (c.is_impact && round == 0) {
-        real change = solve_impact(bodies, joints, pair, c, arms, bias, surfaces.speed_of(i));
+        Response moves = c.is_second ? second_moves : first_moves;
+        if (repeats == 0) moves = response(bodies, joints, is_jointed, jointed, pair, c, arms);
+        if (c.is_second) second_moves = moves;
+        else first_moves = moves;
+        Vec2 v = pair.relative(arms.a, arms.b), tangent = c.normal.right();
+        Vec2 to = find_impact(c, {c.normal.dot(v) + bias, tangent.dot(v) - surfaces.speed_of(i)}, moves);
+        Vec2 added = {to.x - c.impulse_normal, to.y - c.impulse_tangent};
+        c.impulse_normal = to.x;
+        c.impulse_tangent = to.y;
+        exert(bodies, joints, is_jointed, jointed, pair, arms, (c.normal * added.x).plus(tangent, added.y));
+        real change = Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
@@ -445,36 +458,35 @@ struct Contacts {
     real nn, nt, tt;
   };
 
-  // Normal and friction of an impact together, as each changes the other's speed: it sticks, or slides at Coulomb's limit.
-  // What is jointed to the bodies answers at once. Returns by how much (m/s) it changed a speed.
-  KFN real solve_impact(Bodies& bodies, Joints& joints, Pair& pair, Contact& c, Arms arms, real bias, real wanted) {
+  KFN Response response(Bodies& bodies, Joints& joints, bool is_jointed, const unsigned int* jointed, const Pair& pair,
+                        const Contact& c, Arms arms) {
     Vec2 tangent = c.normal.right();
-    unsigned int jointed[JOINT_WORDS];
-    bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
-    Response moves = {real(0), real(0), real(0)};
+    Response moves;
     for (int along_tangent = 0; along_tangent < 2; ++along_tangent) {
       Pair change = pair.at_rest();
       change.apply_impulse(arms.a, arms.b, along_tangent ? tangent : c.normal);
-      if (is_jointed) joints.add_answer(bodies, jointed, change);
+      if (is_jointed) joints.add_answer(bodies, jointed, change, false, active);
       Vec2 speed = change.relative(arms.a, arms.b);
       if (along_tangent) moves.tt = tangent.dot(speed);
       else moves = {c.normal.dot(speed), tangent.dot(speed), real(0)};
     }
-    Vec2 v = pair.relative(arms.a, arms.b);
-    Vec2 impulse = find_impact(c, {c.normal.dot(v) + bias, tangent.dot(v) - wanted}, moves);
-    Vec2 added = {impulse.x - c.impulse_normal, impulse.y - c.impulse_tangent};
-    c.impulse_normal = impulse.x;
-    c.impulse_tangent = impulse.y;
-    Pair change = pair.at_rest();
-    change.apply_impulse(arms.a, arms.b, (c.normal * added.x).plus(tangent, added.y));
-    pair.add(change);
-    if (is_jointed) {
-      pair.write_back(bodies);
-      joints.find_answer(bodies, jointed, change);
-      joints.push(bodies, jointed, active);
-      pair = Pair::of(bodies, c.a, c.b);
+    return moves;
+  }
+
+  // Applies an impulse, and what is jointed to the bodies answers at once. Returns the speed that it changed.
+  KFN Vec2 exert(Bodies& bodies, Joints& joints, bool is_jointed, const unsigned int* jointed, Pair& pair, Arms arms,
+                 Vec2 impulse) {
+    if (!is_jointed) {
+      pair.apply_impulse(arms.a, arms.b, impulse);
+      return impulse;
     }
-    return Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
+    Pair change = pair.at_rest();
+    change.apply_impulse(arms.a, arms.b, impulse);
+    pair.add(change);
+    pair.write_back(bodies);
+    joints.add_answer(bodies, jointed, change, true, active);
+    pair = Pair::of(bodies, pair.a, pair.b);
+    return change.relative(arms.a, arms.b);
   }
 
   // Impulses along the normal and the tangent that leave neither of these speeds, or slide.

@@ -229,18 +229,19 @@ struct Joints {
   }
 
   KFN void push(Bodies& bodies, const unsigned int* which, ActiveSet& active) {
-    for (int k = count - 1; k >= 0; --k) {
-      if (!JointSystem::has(which, k)) continue;
-      Joint& joint = list[k];
-      Pair pair = Pair::of(bodies, joint.a, joint.b);
-      Vec2 before = pair.velocity_b - pair.velocity_a;
-      Vec3 impulse = -system.substitute(k);
-      rows_of(k).push(pair, impulse);
-      joint.impulse = joint.impulse + Vec2{impulse.x, impulse.y};
-      if (joint.is_fixed()) joint.angular_impulse += impulse.z;
-      if (HAS_AXES && joint.has_axial_row()) joint.set_axial(system.axial[k], joint.total_impulse() + impulse.z);
-      write(bodies, pair, k, before, active);
-    }
+    for (int k = count - 1; k >= 0; --k)
+      if (JointSystem::has(which, k)) exert(bodies, k, -system.substitute(k), active);
+  }
+
+  KFN void exert(Bodies& bodies, int k, Vec3 impulse, ActiveSet& active) {
+    Joint& joint = list[k];
+    Pair pair = Pair::of(bodies, joint.a, joint.b);
+    Vec2 before = pair.velocity_b - pair.velocity_a;
+    rows_of(k).push(pair, impulse);
+    joint.impulse = joint.impulse + Vec2{impulse.x, impulse.y};
+    if (joint.is_fixed()) joint.angular_impulse += impulse.z;
+    if (HAS_AXES && joint.has_axial_row()) joint.set_axial(system.axial[k], joint.total_impulse() + impulse.z);
+    write(bodies, pair, k, before, active);
   }
 
   // Joints of the articulations of two bodies; False if they have none.
@@ -263,13 +264,14 @@ struct Joints {
     system.eliminate(which, false);
   }
 
-  // The same for a change of two bodies alone, to which their joints' answer is added.
-  KFN void add_answer(const Bodies& bodies, const unsigned int* which, Pair& change) {
+  // Adds to a change of two bodies what their joints answer; the other bodies get their answer if it `is_applied`.
+  KFN void add_answer(Bodies& bodies, const unsigned int* which, Pair& change, bool is_applied, ActiveSet& active) {
     find_answer(bodies, which, change);
     Pair none = change.at_rest();
     for (int k = count - 1; k >= 0; --k) {
       if (!JointSystem::has(which, k)) continue;
       Vec3 impulse = -system.substitute(k);
+      if (is_applied) exert(bodies, k, impulse, active);
       if (!has_one_of(list[k], change)) continue;
       Pair pair = seen_by(bodies, k, none);
       rows_of(k).push(pair, impulse);
