@@ -3,6 +3,11 @@
 // Soft contacts follow the soft-step solver of Box2D v3 (Solver2D study); see docs/engine.md for the
 // equations. Hard contacts (preset paper) follow the appendix of the Kinetix paper.
 
+// What impulses along the normal and the tangent of a contact change of its speeds along them.
+struct Response {
+  real nn, nt, tt;
+};
+
 struct Contact {
   int a, b, key;
   Vec2 normal;
@@ -10,6 +15,7 @@ struct Contact {
   real follows_b;            // share by which the common point goes with b; the rest goes with a
   real separation;           // at the start of the step
   real mass_normal, mass_tangent;
+  Response moves;            // of one on a jointed body; below 0: not known
   real impulse_normal, impulse_tangent;
   real friction, restitution;
   real approach;             // relative normal speed before solving, negative when approaching; later before a last push
@@ -103,6 +109,7 @@ struct Contacts {
         if (HAS_KINEMATIC_BODIES) c.against_kinematic = bodies.is_kinematic(a) || bodies.is_kinematic(b);
         c.mass_normal = pair_mass(bodies, c, m.normal);
         c.mass_tangent = pair_mass(bodies, c, m.normal.right());
+        c.moves.nn = real(-1);
         c.impulse_normal = real(0);
         c.impulse_tangent = real(0);
         c.max_impulse = real(0);
@@ -370,7 +377,6 @@ struct Contacts {
   KFN void solve_soft(Bodies& bodies, Joints& joints, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
-    Response first_moves = {real(0), real(0), real(0)}, second_moves = first_moves;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (active.leaves_out(c.a, c.b)) continue;
@@ -398,36 +404,23 @@ struct Contacts {
         bias = Fused::of(mass_scale, closes_by(pair, c, arms, soft), bias);
       real vn = c.normal.dot(pair.relative(arms.a, arms.b));
       bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
-      unsigned int jointed[JOINT_WORDS];
-      bool is_jointed = NUM_JOINTS > 0 && round == 0 && joints.find_articulations(c.a, c.b, jointed);
-      real mass = c.mass_normal, mass_tangent = c.mass_tangent;
-      if (!c.against_fixed) {
-        if (!bounces || round == 1) mass = c.mass_normal = pair.mass(arms.a, arms.b, c.normal);
-        mass_tangent = pair.mass(arms.a, arms.b, c.normal.right());
-      }
-      if (bounces) {
-        bias = -c.bounce;
-        bool is_settled = update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
-        if (!is_settled) bodies.add_dynamic(unsettled, c.a, c.b);
-        mass = c.mass_normal;
-      }
       bool shares = active.shares(c.a, c.b);
       if (shares) c.is_impact = true;
-      if (c.is_impact && round == 0) {
-        Response moves = c.is_second ? second_moves : first_moves;
-        if (repeats == 0) moves = response(bodies, joints, is_jointed, jointed, pair, c, arms);
-        if (c.is_second) second_moves = moves;
-        else first_moves = moves;
-        Vec2 v = pair.relative(arms.a, arms.b), tangent = c.normal.right();
-        Vec2 to = find_impact(c, {c.normal.dot(v) + bias, tangent.dot(v) - surfaces.speed_of(i)}, moves);
-        Vec2 added = {to.x - c.impulse_normal, to.y - c.impulse_tangent};
-        c.impulse_normal = to.x;
-        c.impulse_tangent = to.y;
-        exert(bodies, joints, is_jointed, jointed, pair, arms, (c.normal * added.x).plus(tangent, added.y));
-        real change = Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
+      unsigned int jointed[JOINT_WORDS];
+      bool is_jointed = NUM_JOINTS > 0 && round == 0 && joints.find_articulations(c.a, c.b, jointed);
+      if (round == 0 && (is_jointed || c.is_impact)) {
+        Block2 block = {arms, bias, c.is_impact ? real(1) : mass_scale, c.is_impact ? real(0) : impulse_scale, c.is_impact || !use_bias, is_jointed, jointed};
+        real change = solve_block(bodies, joints, pair, i, block);
+        c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
+        if (!c.is_impact) {
+          if (!use_bias && HAS_ROLLING_RESISTANCE) {
+            surfaces.solve_rolling(pair, i, c.impulse_normal);
+            pair.write_back(bodies);
+          }
+          continue;
+        }
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
-        c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
         pair.write_back(bodies);
         // Both points of a pair in turn, until they agree.
         if (c.is_second && Math::max(first_change, change) > SETTLED_SPEED && repeats < POINT_ROUNDS) {
@@ -438,6 +431,17 @@ struct Contacts {
         }
         first_change = change;
         continue;
+      }
+      real mass = c.mass_normal, mass_tangent = c.mass_tangent;
+      if (!c.against_fixed) {
+        if (!bounces || round == 1) mass = c.mass_normal = pair.mass(arms.a, arms.b, c.normal);
+        mass_tangent = pair.mass(arms.a, arms.b, c.normal.right());
+      }
+      if (bounces) {
+        bias = -c.bounce;
+        bool is_settled = update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
+        if (!is_settled) bodies.add_dynamic(unsettled, c.a, c.b);
+        mass = c.mass_normal;
       }
       real impulse = Fused::of(-mass, Fused::of(mass_scale, vn, bias), -(impulse_scale * c.impulse_normal));
       real total = Math::max(c.impulse_normal + impulse, real(0));
@@ -453,20 +457,52 @@ struct Contacts {
     }
   }
 
-  // What impulses along the normal and the tangent of a contact change of its speeds along them.
-  struct Response {
-    real nn, nt, tt;
+  struct Block2 {
+    Arms arms;
+    real bias, mass_scale, impulse_scale;
+    bool with_friction, is_jointed;
+    const unsigned int* jointed;
   };
 
-  KFN Response response(Bodies& bodies, Joints& joints, bool is_jointed, const unsigned int* jointed, const Pair& pair,
-                        const Contact& c, Arms arms) {
+  // Normal and friction together, as each changes the other's speed. What is jointed to the bodies answers at once. Returns by
+  // how much (m/s) it changed a speed.
+  KFN real solve_block(Bodies& bodies, Joints& joints, Pair& pair, int i, Block2 block) {
+    Contact& c = list[i];
+    Vec2 tangent = c.normal.right();
+    real change = real(0);
+    if (!block.is_jointed) c.moves = response(bodies, joints, pair, c, block);
+    for (int attempt = 0; attempt < 2; ++attempt) {
+      if (c.moves.nn < real(0)) c.moves = response(bodies, joints, pair, c, block);
+      Response moves = c.moves;
+      Vec2 v = pair.relative(block.arms.a, block.arms.b);
+      Vec2 speeds = {Fused::of(block.mass_scale, c.normal.dot(v), block.bias), tangent.dot(v) - surfaces.speed_of(i)};
+      Vec2 to = {c.impulse_normal, c.impulse_tangent};
+      if (block.with_friction)
+        to = find_impact(c, speeds, moves);
+      else
+        to.x = Math::max(to.x - block.impulse_scale * to.x - speeds.x * Math::inverse_or_zero(moves.nn), real(0));
+      Vec2 added = {to.x - c.impulse_normal, to.y - c.impulse_tangent};
+      if (added.x == real(0) && added.y == real(0)) break;
+      c.impulse_normal = to.x;
+      c.impulse_tangent = to.y;
+      change = Math::max(change, Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt));
+      Vec2 seen = exert(bodies, joints, pair, block, (c.normal * added.x).plus(tangent, added.y));
+      if (!block.is_jointed) break;
+      real n = c.normal.dot(seen), expected = Fused::of(moves.nn, added.x, moves.nt * added.y);
+      if (Math::abs(n - expected) <= real(0.1) * Math::abs(n)) break;
+      c.moves.nn = real(-1);
+    }
+    return change;
+  }
+
+  KFN Response response(Bodies& bodies, Joints& joints, const Pair& pair, const Contact& c, const Block2& block) {
     Vec2 tangent = c.normal.right();
     Response moves;
     for (int along_tangent = 0; along_tangent < 2; ++along_tangent) {
       Pair change = pair.at_rest();
-      change.apply_impulse(arms.a, arms.b, along_tangent ? tangent : c.normal);
-      if (is_jointed) joints.add_answer(bodies, jointed, change, false, active);
-      Vec2 speed = change.relative(arms.a, arms.b);
+      change.apply_impulse(block.arms.a, block.arms.b, along_tangent ? tangent : c.normal);
+      if (block.is_jointed) joints.add_answer(bodies, block.jointed, change, false, active);
+      Vec2 speed = change.relative(block.arms.a, block.arms.b);
       if (along_tangent) moves.tt = tangent.dot(speed);
       else moves = {c.normal.dot(speed), tangent.dot(speed), real(0)};
     }
@@ -474,19 +510,18 @@ struct Contacts {
   }
 
   // Applies an impulse, and what is jointed to the bodies answers at once. Returns the speed that it changed.
-  KFN Vec2 exert(Bodies& bodies, Joints& joints, bool is_jointed, const unsigned int* jointed, Pair& pair, Arms arms,
-                 Vec2 impulse) {
-    if (!is_jointed) {
-      pair.apply_impulse(arms.a, arms.b, impulse);
+  KFN Vec2 exert(Bodies& bodies, Joints& joints, Pair& pair, const Block2& block, Vec2 impulse) {
+    if (!block.is_jointed) {
+      pair.apply_impulse(block.arms.a, block.arms.b, impulse);
       return impulse;
     }
     Pair change = pair.at_rest();
-    change.apply_impulse(arms.a, arms.b, impulse);
+    change.apply_impulse(block.arms.a, block.arms.b, impulse);
     pair.add(change);
     pair.write_back(bodies);
-    joints.add_answer(bodies, jointed, change, true, active);
+    joints.add_answer(bodies, block.jointed, change, true, active);
     pair = Pair::of(bodies, pair.a, pair.b);
-    return change.relative(arms.a, arms.b);
+    return change.relative(block.arms.a, block.arms.b);
   }
 
   // Impulses along the normal and the tangent that leave neither of these speeds, or slide.
