@@ -470,12 +470,13 @@ struct Contacts {
     Contact& c = list[i];
     Vec2 tangent = c.normal.right();
     real change = real(0);
-    if (!block.is_jointed) c.moves = response(bodies, joints, pair, c, block);
+    if (!block.is_jointed) c.moves.nn = real(-1);
     for (int attempt = 0; attempt < 2; ++attempt) {
-      if (c.moves.nn < real(0)) c.moves = response(bodies, joints, pair, c, block);
-      Response moves = c.moves;
       Vec2 v = pair.relative(block.arms.a, block.arms.b);
       Vec2 speeds = {Fused::of(block.mass_scale, c.normal.dot(v), block.bias), tangent.dot(v) - surfaces.speed_of(i)};
+      if (speeds.x >= real(0) && c.impulse_normal == real(0) && c.impulse_tangent == real(0)) break;
+      if (c.moves.nn < real(0)) c.moves = response(bodies, joints, pair, c, block);
+      Response moves = c.moves;
       Vec2 to = {c.impulse_normal, c.impulse_tangent};
       if (block.with_friction)
         to = find_impact(c, speeds, moves);
