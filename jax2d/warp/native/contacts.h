@@ -407,7 +407,7 @@ struct Contacts {
       bool shares = active.shares(c.a, c.b);
       if (shares) c.is_impact = true;
       unsigned int jointed[JOINT_WORDS];
-      bool is_jointed = NUM_JOINTS > 0 && round == 0 && joints.find_articulations(c.a, c.b, jointed);
+      bool is_jointed = NUM_JOINTS > 0 && round == 0 && (!use_bias || c.is_impact) && joints.find_articulations(c.a, c.b, jointed);
       if (round == 0 && (is_jointed || c.is_impact)) {
         Block2 block = {arms, bias, c.is_impact ? real(1) : mass_scale, c.is_impact ? real(0) : impulse_scale, c.is_impact || !use_bias, is_jointed, jointed};
         real change = solve_block(bodies, joints, pair, i, block);
