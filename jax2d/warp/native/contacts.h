@@ -15,7 +15,7 @@ struct Contact {
   real follows_b;            // share by which the common point goes with b; the rest goes with a
   real separation;           // at the start of the step
   real mass_normal, mass_tangent;
-  Response moves;            // of one on a jointed body; below 0: not known
+  Response moves;            // where it is solved as a block
   real impulse_normal, impulse_tangent;
   real friction, restitution;
   real approach;             // relative normal speed before solving, negative when approaching; later before a last push
@@ -109,7 +109,7 @@ struct Contacts {
         if (HAS_KINEMATIC_BODIES) c.against_kinematic = bodies.is_kinematic(a) || bodies.is_kinematic(b);
         c.mass_normal = pair_mass(bodies, c, m.normal);
         c.mass_tangent = pair_mass(bodies, c, m.normal.right());
-        c.moves.nn = real(-1);
+        c.moves.nn = UNKNOWN;
         c.impulse_normal = real(0);
         c.impulse_tangent = real(0);
         c.max_impulse = real(0);
@@ -407,21 +407,15 @@ struct Contacts {
       bool shares = active.shares(c.a, c.b);
       if (shares) c.is_impact = true;
       unsigned int jointed[JOINT_WORDS];
-      bool is_jointed = NUM_JOINTS > 0 && round == 0 && (!use_bias || c.is_impact) && joints.find_articulations(c.a, c.b, jointed);
+      bool is_jointed =
+          NUM_JOINTS > 0 && round == 0 && (!use_bias || c.is_impact) && joints.find_articulations(c.a, c.b, jointed);
       if (round == 0 && (is_jointed || c.is_impact)) {
-        Block2 block = {arms, bias, c.is_impact ? real(1) : mass_scale, c.is_impact ? real(0) : impulse_scale, c.is_impact || !use_bias, is_jointed, jointed};
-        real change = solve_block(bodies, joints, pair, i, block);
-        c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
-        if (!c.is_impact) {
-          if (!use_bias && HAS_ROLLING_RESISTANCE) {
-            surfaces.solve_rolling(pair, i, c.impulse_normal);
-            pair.write_back(bodies);
-          }
-          continue;
-        }
-        if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
+        real change = solve_block(bodies, joints, pair, i, {arms, bias, is_jointed, jointed});
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
+        c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
         pair.write_back(bodies);
+        if (!c.is_impact) continue;
+        if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         // Both points of a pair in turn, until they agree.
         if (c.is_second && Math::max(first_change, change) > SETTLED_SPEED && repeats < POINT_ROUNDS) {
           ++repeats;
@@ -457,84 +451,79 @@ struct Contacts {
     }
   }
 
-  struct Block2 {
+  // A contact whose normal impulse and friction are solved together.
+  struct BothRows {
     Arms arms;
-    real bias, mass_scale, impulse_scale;
-    bool with_friction, is_jointed;
-    const unsigned int* jointed;
+    real bias;
+    bool is_jointed;              // to others
+    const unsigned int* jointed;  // joints of the articulations of its bodies
   };
 
-  // Normal and friction together, as each changes the other's speed. What is jointed to the bodies answers at once. Returns by
-  // how much (m/s) it changed a speed.
-  KFN real solve_block(Bodies& bodies, Joints& joints, Pair& pair, int i, Block2 block) {
+  // Normal and friction together, as each changes the other's speed: it sticks, or slides at Coulomb's limit. What is jointed
+  // to its bodies answers at once. Returns by how much (m/s) it changed a speed.
+  KFN real solve_block(Bodies& bodies, Joints& joints, Pair& pair, int i, const BothRows& rows) {
     Contact& c = list[i];
     Vec2 tangent = c.normal.right();
     real change = real(0);
-    if (!block.is_jointed) c.moves.nn = real(-1);
+    if (!rows.is_jointed) c.moves.nn = UNKNOWN;
+    // Of what is jointed, how it moves is kept for the step. Where joints have begun or ceased to hold since, it is found again.
     for (int attempt = 0; attempt < 2; ++attempt) {
-      Vec2 v = pair.relative(block.arms.a, block.arms.b);
-      Vec2 speeds = {Fused::of(block.mass_scale, c.normal.dot(v), block.bias), tangent.dot(v) - surfaces.speed_of(i)};
+      Vec2 v = pair.relative(rows.arms.a, rows.arms.b);
+      Vec2 speeds = {c.normal.dot(v) + rows.bias, tangent.dot(v) - surfaces.speed_of(i)};
       if (speeds.x >= real(0) && c.impulse_normal == real(0) && c.impulse_tangent == real(0)) break;
-      if (c.moves.nn < real(0)) c.moves = response(bodies, joints, pair, c, block);
-      Response moves = c.moves;
-      Vec2 to = {c.impulse_normal, c.impulse_tangent};
-      if (block.with_friction)
-        to = find_impact(c, speeds, moves);
-      else
-        to.x = Math::max(to.x - block.impulse_scale * to.x - speeds.x * Math::inverse_or_zero(moves.nn), real(0));
-      Vec2 added = {to.x - c.impulse_normal, to.y - c.impulse_tangent};
+      if (c.moves.nn == UNKNOWN) c.moves = find_response(bodies, joints, pair, c.normal, rows);
+      Vec2 impulse = stick_or_slide(c, speeds), added = impulse - Vec2{c.impulse_normal, c.impulse_tangent};
       if (added.x == real(0) && added.y == real(0)) break;
-      c.impulse_normal = to.x;
-      c.impulse_tangent = to.y;
-      change = Math::max(change, Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt));
-      Vec2 seen = exert(bodies, joints, pair, block, (c.normal * added.x).plus(tangent, added.y));
-      if (!block.is_jointed) break;
-      real n = c.normal.dot(seen), expected = Fused::of(moves.nn, added.x, moves.nt * added.y);
-      if (Math::abs(n - expected) <= real(0.1) * Math::abs(n)) break;
-      c.moves.nn = real(-1);
+      c.impulse_normal = impulse.x;
+      c.impulse_tangent = impulse.y;
+      change = Math::max(change, Math::max(Math::abs(added.x) * c.moves.nn, Math::abs(added.y) * c.moves.tt));
+      real expected = Fused::of(c.moves.nn, added.x, c.moves.nt * added.y);
+      real moved = c.normal.dot(exert(bodies, joints, pair, (c.normal * added.x).plus(tangent, added.y), rows));
+      if (!rows.is_jointed || Math::abs(moved - expected) <= RESPONSE_TOLERANCE * Math::abs(moved)) break;
+      c.moves.nn = UNKNOWN;
     }
     return change;
   }
 
-  KFN Response response(Bodies& bodies, Joints& joints, const Pair& pair, const Contact& c, const Block2& block) {
-    Vec2 tangent = c.normal.right();
-    Response moves;
-    for (int along_tangent = 0; along_tangent < 2; ++along_tangent) {
+  // Impulses that leave neither of these speeds, or with which it slides.
+  KFN static Vec2 stick_or_slide(const Contact& c, Vec2 speeds) {
+    const Response& m = c.moves;
+    Vec2 stick = Symmetric::solve(m.nn, m.nt, m.tt, speeds);
+    real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
+    if (n >= real(0) && Math::abs(t) <= c.friction * n) return {n, t};
+    // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
+    real closing = m.nn * c.impulse_normal + m.nt * c.impulse_tangent - speeds.x;  // without its impulses
+    real side = t > real(0) ? c.friction : -c.friction, k = m.nn + side * m.nt;
+    n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
+    return {n, side * n};
+  }
+
+  KFN Response find_response(Bodies& bodies, Joints& joints, const Pair& pair, Vec2 normal, const BothRows& rows) {
+    Response moves = {real(0), real(0), real(0)};
+    for (int is_tangent = 0; is_tangent < 2; ++is_tangent) {
       Pair change = pair.at_rest();
-      change.apply_impulse(block.arms.a, block.arms.b, along_tangent ? tangent : c.normal);
-      if (block.is_jointed) joints.add_answer(bodies, block.jointed, change, false, active);
-      Vec2 speed = change.relative(block.arms.a, block.arms.b);
-      if (along_tangent) moves.tt = tangent.dot(speed);
-      else moves = {c.normal.dot(speed), tangent.dot(speed), real(0)};
+      change.apply_impulse(rows.arms.a, rows.arms.b, is_tangent ? normal.right() : normal);
+      if (rows.is_jointed) joints.add_answer(bodies, rows.jointed, change, false, active);
+      Vec2 speed = change.relative(rows.arms.a, rows.arms.b);
+      if (is_tangent) moves.tt = normal.right().dot(speed);
+      else moves = {normal.dot(speed), normal.right().dot(speed), real(0)};
     }
     return moves;
   }
 
-  // Applies an impulse, and what is jointed to the bodies answers at once. Returns the speed that it changed.
-  KFN Vec2 exert(Bodies& bodies, Joints& joints, Pair& pair, const Block2& block, Vec2 impulse) {
-    if (!block.is_jointed) {
-      pair.apply_impulse(block.arms.a, block.arms.b, impulse);
+  // Applies an impulse, and what is jointed answers. Returns what that changes of b's speed from a, where it is jointed.
+  KFN Vec2 exert(Bodies& bodies, Joints& joints, Pair& pair, Vec2 impulse, const BothRows& rows) {
+    if (!rows.is_jointed) {
+      pair.apply_impulse(rows.arms.a, rows.arms.b, impulse);
       return impulse;
     }
     Pair change = pair.at_rest();
-    change.apply_impulse(block.arms.a, block.arms.b, impulse);
+    change.apply_impulse(rows.arms.a, rows.arms.b, impulse);
     pair.add(change);
     pair.write_back(bodies);
-    joints.add_answer(bodies, block.jointed, change, true, active);
+    joints.add_answer(bodies, rows.jointed, change, true, active);
     pair = Pair::of(bodies, pair.a, pair.b);
-    return change.relative(block.arms.a, block.arms.b);
-  }
-
-  // Impulses along the normal and the tangent that leave neither of these speeds, or slide.
-  KFN static Vec2 find_impact(const Contact& c, Vec2 speeds, Response moves) {
-    Vec2 stick = Symmetric::solve(moves.nn, moves.nt, moves.tt, speeds);
-    real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
-    if (n >= real(0) && Math::abs(t) <= c.friction * n) return {n, t};
-    // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
-    real closing = moves.nn * c.impulse_normal + moves.nt * c.impulse_tangent - speeds.x;  // without its impulses
-    real side = t > real(0) ? c.friction : -c.friction, k = moves.nn + side * moves.nt;
-    n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
-    return {n, side * n};
+    return change.relative(rows.arms.a, rows.arms.b);
   }
 
   // Towards the `wanted` speed of b against a along the tangent.
