@@ -98,13 +98,6 @@ class Constants:
     point_rounds: int = _constant(
         8, "a pass", "both points of an impact are solved in turn", "0: a box that lands flat tips"
     )
-    response_tolerance: float = _constant(
-        0.1,
-        "of a speed",
-        "what an impulse on a jointed body moves is found again where it is off by more",
-        "1: a limb whose motor lets go within a step is kicked; 0: time only",
-    )
-    unknown: float = _constant(-1.0, "1/kg", "what an impulse moves, where that has not been found yet")
     shared_speed: float = _constant(
         0.12,
         "m/s",

@@ -331,6 +331,11 @@ struct Pair {
     pair.omega_a = pair.omega_b = real(0);
     return pair;
   }
+  KFN void add_to(int body, Vec2 v, real w) {
+    Vec2& velocity = body == a ? velocity_a : velocity_b;
+    velocity = velocity + v;
+    (body == a ? omega_a : omega_b) += w;
+  }
   KFN void add(const Pair& change) {
     velocity_a = velocity_a + change.velocity_a;
     velocity_b = velocity_b + change.velocity_b;

@@ -3,11 +3,6 @@
 // Soft contacts follow the soft-step solver of Box2D v3 (Solver2D study); see docs/engine.md for the
 // equations. Hard contacts (preset paper) follow the appendix of the Kinetix paper.
 
-// What impulses along the normal and the tangent of a contact change of its speeds along them.
-struct Response {
-  real nn, nt, tt;
-};
-
 struct Contact {
   int a, b, key;
   Vec2 normal;
@@ -15,7 +10,6 @@ struct Contact {
   real follows_b;            // share by which the common point goes with b; the rest goes with a
   real separation;           // at the start of the step
   real mass_normal, mass_tangent;
-  Response moves;            // where it is solved as a block
   real impulse_normal, impulse_tangent;
   real friction, restitution;
   real approach;             // relative normal speed before solving, negative when approaching; later before a last push
@@ -109,7 +103,6 @@ struct Contacts {
         if (HAS_KINEMATIC_BODIES) c.against_kinematic = bodies.is_kinematic(a) || bodies.is_kinematic(b);
         c.mass_normal = pair_mass(bodies, c, m.normal);
         c.mass_tangent = pair_mass(bodies, c, m.normal.right());
-        c.moves.nn = UNKNOWN;
         c.impulse_normal = real(0);
         c.impulse_tangent = real(0);
         c.max_impulse = real(0);
@@ -377,6 +370,7 @@ struct Contacts {
   KFN void solve_soft(Bodies& bodies, Joints& joints, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
+    Response first_moves = {real(0), real(0), real(0)}, second_moves = first_moves;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (active.leaves_out(c.a, c.b)) continue;
@@ -406,16 +400,23 @@ struct Contacts {
       bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
       bool shares = active.shares(c.a, c.b);
       if (shares) c.is_impact = true;
-      unsigned int jointed[JOINT_WORDS];
-      bool is_jointed =
-          NUM_JOINTS > 0 && round == 0 && (!use_bias || c.is_impact) && joints.find_articulations(c.a, c.b, jointed);
-      if (round == 0 && (is_jointed || c.is_impact)) {
-        real change = solve_block(bodies, joints, pair, i, {arms, bias, is_jointed, jointed});
+      if (c.is_impact && round == 0) {
+        unsigned int jointed[JOINT_WORDS];
+        bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
+        Response& moves = c.is_second ? second_moves : first_moves;
+        // Without bias bodies have moved since joints were solved.
+        if (repeats == 0) moves = find_response(bodies, joints, soft, pair, c.normal, {arms, is_jointed, !use_bias, jointed});
+        Vec2 tangent = c.normal.right(), v = pair.relative(arms.a, arms.b);
+        Vec2 impulse = stick_or_slide(c, {c.normal.dot(v) + bias, tangent.dot(v) - surfaces.speed_of(i)}, moves);
+        Vec2 added = impulse - Vec2{c.impulse_normal, c.impulse_tangent};
+        c.impulse_normal = impulse.x;
+        c.impulse_tangent = impulse.y;
+        exert(bodies, joints, soft, pair, (c.normal * added.x).plus(tangent, added.y), {arms, is_jointed, false, jointed});
+        real change = Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
+        if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
         pair.write_back(bodies);
-        if (!c.is_impact) continue;
-        if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         // Both points of a pair in turn, until they agree.
         if (c.is_second && Math::max(first_change, change) > SETTLED_SPEED && repeats < POINT_ROUNDS) {
           ++repeats;
@@ -451,79 +452,55 @@ struct Contacts {
     }
   }
 
-  // A contact whose normal impulse and friction are solved together.
-  struct BothRows {
-    Arms arms;
-    real bias;
-    bool is_jointed;              // to others
-    const unsigned int* jointed;  // joints of the articulations of its bodies
+  // What impulses along the normal and the tangent of a contact change of its speeds along them.
+  struct Response {
+    real nn, nt, tt;
   };
 
-  // Normal and friction together, as each changes the other's speed: it sticks, or slides at Coulomb's limit. What is jointed
-  // to its bodies answers at once. Returns by how much (m/s) it changed a speed.
-  KFN real solve_block(Bodies& bodies, Joints& joints, Pair& pair, int i, const BothRows& rows) {
-    Contact& c = list[i];
-    Vec2 tangent = c.normal.right();
-    real change = real(0);
-    if (!rows.is_jointed) c.moves.nn = UNKNOWN;
-    // Of what is jointed, how it moves is kept for the step. Where joints have begun or ceased to hold since, it is found again.
-    for (int attempt = 0; attempt < 2; ++attempt) {
-      Vec2 v = pair.relative(rows.arms.a, rows.arms.b);
-      Vec2 speeds = {c.normal.dot(v) + rows.bias, tangent.dot(v) - surfaces.speed_of(i)};
-      if (speeds.x >= real(0) && c.impulse_normal == real(0) && c.impulse_tangent == real(0)) break;
-      if (c.moves.nn == UNKNOWN) c.moves = find_response(bodies, joints, pair, c.normal, rows);
-      Vec2 impulse = stick_or_slide(c, speeds), added = impulse - Vec2{c.impulse_normal, c.impulse_tangent};
-      if (added.x == real(0) && added.y == real(0)) break;
-      c.impulse_normal = impulse.x;
-      c.impulse_tangent = impulse.y;
-      change = Math::max(change, Math::max(Math::abs(added.x) * c.moves.nn, Math::abs(added.y) * c.moves.tt));
-      real expected = Fused::of(c.moves.nn, added.x, c.moves.nt * added.y);
-      real moved = c.normal.dot(exert(bodies, joints, pair, (c.normal * added.x).plus(tangent, added.y), rows));
-      if (!rows.is_jointed || Math::abs(moved - expected) <= RESPONSE_TOLERANCE * Math::abs(moved)) break;
-      c.moves.nn = UNKNOWN;
-    }
-    return change;
-  }
+  // Where an impact acts, and what is jointed to its bodies: joints of their articulations, whose system may be an old one.
+  struct Impact {
+    Arms arms;
+    bool is_jointed, is_old;
+    const unsigned int* jointed;
+  };
 
-  // Impulses that leave neither of these speeds, or with which it slides.
-  KFN static Vec2 stick_or_slide(const Contact& c, Vec2 speeds) {
-    const Response& m = c.moves;
-    Vec2 stick = Symmetric::solve(m.nn, m.nt, m.tt, speeds);
-    real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
-    if (n >= real(0) && Math::abs(t) <= c.friction * n) return {n, t};
-    // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
-    real closing = m.nn * c.impulse_normal + m.nt * c.impulse_tangent - speeds.x;  // without its impulses
-    real side = t > real(0) ? c.friction : -c.friction, k = m.nn + side * m.nt;
-    n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
-    return {n, side * n};
-  }
-
-  KFN Response find_response(Bodies& bodies, Joints& joints, const Pair& pair, Vec2 normal, const BothRows& rows) {
+  KFN Response find_response(Bodies& bodies, Joints& joints, const Soft& soft, const Pair& pair, Vec2 normal,
+                             const Impact& impact) {
     Response moves = {real(0), real(0), real(0)};
     for (int is_tangent = 0; is_tangent < 2; ++is_tangent) {
       Pair change = pair.at_rest();
-      change.apply_impulse(rows.arms.a, rows.arms.b, is_tangent ? normal.right() : normal);
-      if (rows.is_jointed) joints.add_answer(bodies, rows.jointed, change, false, active);
-      Vec2 speed = change.relative(rows.arms.a, rows.arms.b);
+      change.apply_impulse(impact.arms.a, impact.arms.b, is_tangent ? normal.right() : normal);
+      bool is_new = impact.is_old && !is_tangent;
+      if (impact.is_jointed) joints.add_answer(bodies, impact.jointed, soft, change, {is_new, false}, active);
+      Vec2 speed = change.relative(impact.arms.a, impact.arms.b);
       if (is_tangent) moves.tt = normal.right().dot(speed);
       else moves = {normal.dot(speed), normal.right().dot(speed), real(0)};
     }
     return moves;
   }
 
-  // Applies an impulse, and what is jointed answers. Returns what that changes of b's speed from a, where it is jointed.
-  KFN Vec2 exert(Bodies& bodies, Joints& joints, Pair& pair, Vec2 impulse, const BothRows& rows) {
-    if (!rows.is_jointed) {
-      pair.apply_impulse(rows.arms.a, rows.arms.b, impulse);
-      return impulse;
-    }
+  // Normal impulse and friction of an impact together, as each changes the other's speed: it sticks, or slides at Coulomb's
+  // limit.
+  KFN static Vec2 stick_or_slide(const Contact& c, Vec2 speeds, const Response& moves) {
+    Vec2 stick = Symmetric::solve(moves.nn, moves.nt, moves.tt, speeds);
+    real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
+    if (n >= real(0) && Math::abs(t) <= c.friction * n) return {n, t};
+    // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
+    real closing = moves.nn * c.impulse_normal + moves.nt * c.impulse_tangent - speeds.x;  // without its impulses
+    real side = t > real(0) ? c.friction : -c.friction, k = moves.nn + side * moves.nt;
+    n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
+    return {n, side * n};
+  }
+
+  // Applies an impulse, and what is jointed answers at once.
+  KFN void exert(Bodies& bodies, Joints& joints, const Soft& soft, Pair& pair, Vec2 impulse, const Impact& impact) {
+    if (!impact.is_jointed) return pair.apply_impulse(impact.arms.a, impact.arms.b, impulse);
     Pair change = pair.at_rest();
-    change.apply_impulse(rows.arms.a, rows.arms.b, impulse);
+    change.apply_impulse(impact.arms.a, impact.arms.b, impulse);
     pair.add(change);
     pair.write_back(bodies);
-    joints.add_answer(bodies, rows.jointed, change, true, active);
+    joints.add_answer(bodies, impact.jointed, soft, change, {false, true}, active);
     pair = Pair::of(bodies, pair.a, pair.b);
-    return change.relative(rows.arms.a, rows.arms.b);
   }
 
   // Towards the `wanted` speed of b against a along the tangent.

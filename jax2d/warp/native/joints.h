@@ -255,38 +255,33 @@ struct Joints {
 
   KFN unsigned int* members_of(int last) const { return members + last * JOINT_WORDS; }
 
-  // Right sides of what articulations answer to a change of the velocities of two bodies, so that rows keep their speeds.
-  KFN void find_answer(const Bodies& bodies, const unsigned int* which, const Pair& change) {
+  // Adds to a change of the velocities of two bodies what their joints answer, so that rows keep their speeds. `is_new`: as
+  // the bodies stand now. `acts`: all that is jointed gets its answer.
+  struct Answer {
+    bool is_new, acts;
+  };
+  KFN void add_answer(Bodies& bodies, const unsigned int* which, const Soft& soft, Pair& change, Answer answer,
+                      ActiveSet& active) {
+    if (answer.is_new) {
+      for (EachJoint k = EachJoint::of(which); k.next();) place(bodies, k.joint);
+      assemble(bodies, which, soft, {false, true, false});
+    }
     for (EachJoint k = EachJoint::of(which); k.next();) {
       bool is_theirs = has_one_of(list[k.joint], change);
-      system.x[k.joint] = is_theirs ? rows_of(k.joint).speeds(seen_by(bodies, k.joint, change)) : Vec3{real(0), real(0), real(0)};
+      system.x[k.joint] =
+          is_theirs ? rows_of(k.joint).speeds(seen_by(bodies, k.joint, change)) : Vec3{real(0), real(0), real(0)};
     }
-    system.eliminate(which, false);
-  }
-
-  // Adds to a change of two bodies what their joints answer; the other bodies get their answer if it `is_applied`.
-  KFN void add_answer(Bodies& bodies, const unsigned int* which, Pair& change, bool is_applied, ActiveSet& active) {
-    find_answer(bodies, which, change);
+    system.eliminate(which, answer.is_new);
     Pair none = change.at_rest();
     for (int k = count - 1; k >= 0; --k) {
       if (!JointSystem::has(which, k)) continue;
       Vec3 impulse = -system.substitute(k);
-      if (is_applied) exert(bodies, k, impulse, active);
-      if (!has_one_of(list[k], change)) continue;
+      if (answer.acts) exert(bodies, k, impulse, active);
+      if (!has_one_of(list[k], none)) continue;
       Pair pair = seen_by(bodies, k, none);
       rows_of(k).push(pair, impulse);
-      for (int is_b = 0; is_b < 2; ++is_b) {
-        int body = is_b ? pair.b : pair.a;
-        Vec2 v = is_b ? pair.velocity_b : pair.velocity_a;
-        real w = is_b ? pair.omega_b : pair.omega_a;
-        if (body == change.a) {
-          change.velocity_a = change.velocity_a + v;
-          change.omega_a += w;
-        } else if (body == change.b) {
-          change.velocity_b = change.velocity_b + v;
-          change.omega_b += w;
-        }
-      }
+      if (pair.a == change.a || pair.a == change.b) change.add_to(pair.a, pair.velocity_a, pair.omega_a);
+      if (pair.b == change.a || pair.b == change.b) change.add_to(pair.b, pair.velocity_b, pair.omega_b);
     }
   }
 

@@ -193,8 +193,6 @@ struct World {
     Bodies::copy(gaining, solved);
     Bodies::copy(passed, solved);
     contacts.active.begin(is_part, solved);
-    // Bodies have moved: what joints answer to contacts acts where they are, or angular momentum would change.
-    for (int k = 0; k < joints.count && !use_bias && contacts.count > 0; ++k) joints.place(bodies, k);
     for (;;) {
       if (use_bias || round > 0 || energy_passes > 0)
         joints.solve_soft(bodies, soft, use_bias, !is_second, contacts.active);
