@@ -405,14 +405,9 @@ struct Contacts {
         bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
         Response& moves = c.is_second ? second_moves : first_moves;
         // Without bias bodies have moved since joints were solved.
-        if (repeats == 0) moves = find_response(bodies, joints, soft, pair, c.normal, {arms, is_jointed, !use_bias, jointed});
-        Vec2 tangent = c.normal.right(), v = pair.relative(arms.a, arms.b);
-        Vec2 impulse = stick_or_slide(c, {c.normal.dot(v) + bias, tangent.dot(v) - surfaces.speed_of(i)}, moves);
-        Vec2 added = impulse - Vec2{c.impulse_normal, c.impulse_tangent};
-        c.impulse_normal = impulse.x;
-        c.impulse_tangent = impulse.y;
-        exert(bodies, joints, soft, pair, (c.normal * added.x).plus(tangent, added.y), {arms, is_jointed, false, jointed});
-        real change = Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
+        bool is_old = !use_bias && repeats == 0;
+        real change = solve_impact(bodies, joints, soft, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, is_old, jointed},
+                                   repeats == 0, moves);
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
@@ -457,26 +452,39 @@ struct Contacts {
     real nn, nt, tt;
   };
 
-  // Where an impact acts, and what is jointed to its bodies: joints of their articulations, whose system may be an old one.
+  // Where an impact acts, the speeds that are wanted, and what is jointed to its bodies: joints of their articulations, whose
+  // system may be an old one.
   struct Impact {
     Arms arms;
+    real bias, along;
     bool is_jointed, is_old;
     const unsigned int* jointed;
   };
 
-  KFN Response find_response(Bodies& bodies, Joints& joints, const Soft& soft, const Pair& pair, Vec2 normal,
-                             const Impact& impact) {
-    Response moves = {real(0), real(0), real(0)};
-    for (int is_tangent = 0; is_tangent < 2; ++is_tangent) {
+  // Solves an impact. What is jointed to its bodies answers at once: first to an impulse of 1 along the normal and the tangent,
+  // unless it is known what these move, then to that of the impact. Returns by how much (m/s) it changed a speed.
+  KFN real solve_impact(Bodies& bodies, Joints& joints, const Soft& soft, Pair& pair, Contact& c, const Impact& impact,
+                        bool is_first, Response& moves) {
+    Vec2 tangent = c.normal.right(), added = {real(0), real(0)};
+    for (int stage = is_first ? 0 : 2; stage < 3; ++stage) {
+      Vec2 push = stage == 0 ? c.normal : tangent;
+      if (stage == 2) {
+        Vec2 v = pair.relative(impact.arms.a, impact.arms.b);
+        Vec2 total = stick_or_slide(c, {c.normal.dot(v) + impact.bias, tangent.dot(v) - impact.along}, moves);
+        added = {total.x - c.impulse_normal, total.y - c.impulse_tangent};
+        c.impulse_normal = total.x;
+        c.impulse_tangent = total.y;
+        push = (c.normal * added.x).plus(tangent, added.y);
+      }
       Pair change = pair.at_rest();
-      change.apply_impulse(impact.arms.a, impact.arms.b, is_tangent ? normal.right() : normal);
-      bool is_new = impact.is_old && !is_tangent;
-      if (impact.is_jointed) joints.add_answer(bodies, impact.jointed, soft, change, {is_new, false}, active);
+      change.apply_impulse(impact.arms.a, impact.arms.b, push);
+      if (impact.is_jointed) joints.add_answer(bodies, impact.jointed, soft, change, {impact.is_old && stage == 0, stage == 2}, active);
       Vec2 speed = change.relative(impact.arms.a, impact.arms.b);
-      if (is_tangent) moves.tt = normal.right().dot(speed);
-      else moves = {normal.dot(speed), normal.right().dot(speed), real(0)};
+      if (stage == 0) moves = {c.normal.dot(speed), tangent.dot(speed), real(0)};
+      if (stage == 1) moves.tt = tangent.dot(speed);
+      if (stage == 2) pair.add(change);
     }
-    return moves;
+    return Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
   }
 
   // Normal impulse and friction of an impact together, as each changes the other's speed: it sticks, or slides at Coulomb's
@@ -490,17 +498,6 @@ struct Contacts {
     real side = t > real(0) ? c.friction : -c.friction, k = moves.nn + side * moves.nt;
     n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
     return {n, side * n};
-  }
-
-  // Applies an impulse, and what is jointed answers at once.
-  KFN void exert(Bodies& bodies, Joints& joints, const Soft& soft, Pair& pair, Vec2 impulse, const Impact& impact) {
-    if (!impact.is_jointed) return pair.apply_impulse(impact.arms.a, impact.arms.b, impulse);
-    Pair change = pair.at_rest();
-    change.apply_impulse(impact.arms.a, impact.arms.b, impulse);
-    pair.add(change);
-    pair.write_back(bodies);
-    joints.add_answer(bodies, impact.jointed, soft, change, {false, true}, active);
-    pair = Pair::of(bodies, pair.a, pair.b);
   }
 
   // Towards the `wanted` speed of b against a along the tangent.
