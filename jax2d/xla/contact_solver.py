@@ -9,7 +9,8 @@ import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
 from jax2d.solver_numbers import Scalar, SolverNumbers
-from jax2d.xla import vec2
+from jax2d.xla import joint_system, vec2
+from jax2d.xla import joints as joints_of
 from jax2d.xla.active_set import ActiveSet, marked
 from jax2d.xla.bodies import (
     Bodies,
@@ -26,6 +27,7 @@ from jax2d.xla.bodies import (
 )
 from jax2d.xla.branching import choose, in_any_world
 from jax2d.xla.contacts import Contacts, reset_impulses
+from jax2d.xla.joints import Joints, PlacedJoints
 
 
 def warm_start(bodies: Bodies, contacts: Contacts) -> tuple[Bodies, Contacts]:
@@ -114,10 +116,17 @@ def _turned_by(arm: jax.Array, turn: jax.Array) -> jax.Array:
 
 
 def solve_soft(
-    bodies: Bodies, contacts: Contacts, params: SolverNumbers, active: ActiveSet, *, use_bias: bool
-) -> tuple[Bodies, Contacts, jax.Array]:
+    bodies: Bodies,
+    contacts: Contacts,
+    joined: tuple[Joints, PlacedJoints],
+    params: SolverNumbers,
+    active: ActiveSet,
+    *,
+    use_bias: bool,
+) -> tuple[Bodies, Contacts, Joints, jax.Array]:
     """One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes back the
-    velocity that the push added, and applies friction. Also the bodies [n] whose impacts are to be shared out."""
+    velocity that the push added, and applies friction. `joined`: joints, which answer to impacts at once, and where
+    they are. Also the bodies [n] whose impacts are to be shared out."""
     separation = current_separation(bodies, contacts)
     is_apart = separation > C.touching_distance
     bias = jnp.where(is_apart, separation / params.h, 0)  # speculative: may close the gap, not more
@@ -136,10 +145,11 @@ def solve_soft(
     contacts = contacts._replace(is_impact=contacts.is_impact | shares)
 
     ahead = 0.5 * params.h if use_bias else -0.5 * params.h  # with bias the sub-step is to come, without it is past
+    answers = joints_of.answers(bodies, *joined, marked(bodies, contacts.pair, contacts.is_impact & included))
 
-    def solve(carry: tuple[Velocities, Impact], row: tuple) -> tuple[tuple[Velocities, Impact], tuple]:
-        velocities, first = carry
-        c, bias, mass_scale, impulse_scale, face, is_impact, is_second, included, large = row
+    def solve(carry: tuple[Velocities, jax.Array, Impact], row: tuple) -> tuple[tuple, tuple]:
+        velocities, joint_impulses, first = carry
+        c, bias, mass_scale, impulse_scale, face, is_impact, is_second, included, large, answer = row
         before = pair_velocities(c.pair, velocities)
         wanted = bias + closes_by(before, c, face)
         impulse = -c.mass_normal * (mass_scale * normal_speed(before, c) + wanted) - impulse_scale * c.impulse_normal
@@ -147,8 +157,10 @@ def solve_soft(
         tangent_total, rolling_total = c.impulse_tangent, c.rolling_impulse
         if not use_bias:
             of, tangent_total = solve_friction(of, c, normal_total)
-        own = solve_impact(before, Impact(c, face, bias, jnp.zeros_like(bias)))
+        own = solve_impact(before, Impact(c, face, bias, answer, pushed=jnp.zeros(6, bias.dtype), change=bias * 0))
+        first = first._replace(pushed=jnp.zeros(6, bias.dtype))
         agreed, first, own = solve_both_points(own[0], first, own[1], is_second & is_impact & included)
+        pushed = jnp.where(is_impact & included, first.pushed + own.pushed, 0)
         impact = (agreed, own.contact.impulse_normal, own.contact.impulse_tangent)
         of, normal_total, tangent_total = choose(is_impact, impact, (of, normal_total, tangent_total))
         if not use_bias:
@@ -156,8 +168,9 @@ def solve_soft(
         totals = (normal_total, tangent_total, rolling_total)
         of, totals = choose(included, (of, totals), (before, (c.impulse_normal, c.impulse_tangent, c.rolling_impulse)))
         velocities = scatter_velocities(velocities, c.pair, before, of)
+        velocities, joint_impulses = joints_of.answer(answers, velocities, joint_impulses, c.pair, pushed)
         of_first = (first.contact.impulse_normal, first.contact.impulse_tangent)
-        return (velocities, own), (*totals, *of_first, included & is_impact & (own.change > large))
+        return (velocities, joint_impulses, own), (*totals, *of_first, included & is_impact & (own.change > large))
 
     rows = rows_now(bodies, contacts, ahead)
     foreseen = use_bias & (~contacts.of_disc | contacts.disc_on_face)
@@ -168,10 +181,22 @@ def solve_soft(
         mass_scale=mass_scale,
         max_spin=jnp.full_like(separation, params.max_angular_speed),
     )
-    none = jax.tree.map(lambda x: jnp.zeros_like(x[0]), Impact(rows, face, bias, bias))
-    xs = (rows, bias, mass_scale, impulse_scale, face, contacts.is_impact, contacts.is_second, included, large)
-    (velocities, _), (normal, tangent, rolling, first_normal, first_tangent, changed) = jax.lax.scan(
-        solve, (bodies.velocities, none), xs
+    of_pairs = joints_of.answers_of_pairs(answers, contacts.pair)
+    none = jax.tree.map(lambda x: jnp.zeros_like(x[0]), Impact(rows, face, bias, of_pairs, of_pairs[:, 0], bias))
+    xs = (
+        rows,
+        bias,
+        mass_scale,
+        impulse_scale,
+        face,
+        contacts.is_impact,
+        contacts.is_second,
+        included,
+        large,
+        of_pairs,
+    )
+    (velocities, joint_impulses, _), (normal, tangent, rolling, first_normal, first_tangent, changed) = jax.lax.scan(
+        solve, (bodies.velocities, joints_of.row_impulses(joined[0]), none), xs
     )
     # The second of two points has changed the first's as well.
     both = jnp.roll(contacts.is_second & contacts.is_impact & included, -1)
@@ -181,6 +206,7 @@ def solve_soft(
     return (
         bodies._replace(velocities=velocities),
         with_impulses(contacts, normal, tangent),
+        joints_of.with_changed_impulses(joined[0], joint_impulses),
         marked(bodies, contacts.pair, changed),
     )
 
@@ -215,6 +241,8 @@ class Impact(NamedTuple):
     contact: Row
     face: Face
     bias: jax.Array
+    answer: jax.Array  # [6, 6] of joints to a change of the velocities of its bodies
+    pushed: jax.Array  # [6] m/s and rad/s, what its impulses have changed of them, without that
     change: jax.Array  # m/s, largest by which solving it changed a speed
 
 
@@ -239,19 +267,21 @@ def solve_both_points(
 
 def solve_impact(of: PairVelocities, impact: Impact) -> tuple[PairVelocities, Impact]:
     """Normal and friction of an impact together, as each changes the other's speed: it sticks, or slides at Coulomb's
-    limit."""
-    c, face, bias, _ = impact
+    limit. What is jointed to its bodies answers at once."""
+    c = impact.contact
     tangent = vec2.right(c.normal)
     v = relative_velocity(of, c.arm_a, c.arm_b)
-    vn, vt = vec2.dot(c.normal, v) + bias + closes_by(of, c, face), vec2.dot(tangent, v)
+    vn, vt = vec2.dot(c.normal, v) + impact.bias + closes_by(of, c, impact.face), vec2.dot(tangent, v)
     if c.surface_speed is not None:
         vt -= c.surface_speed
-    na, nb = vec2.cross(c.arm_a, c.normal), vec2.cross(c.arm_b, c.normal)
-    ta, tb = vec2.cross(c.arm_a, tangent), vec2.cross(c.arm_b, tangent)
-    mass = c.pair.mass_a + c.pair.mass_b
-    knn = mass + c.pair.inertia_a * na * na + c.pair.inertia_b * nb * nb
-    ktt = mass + c.pair.inertia_a * ta * ta + c.pair.inertia_b * tb * tb
-    knt = c.pair.inertia_a * na * ta + c.pair.inertia_b * nb * tb
+    rest = jax.tree.map(jnp.zeros_like, of)
+    by_n, by_t = (joints_of.as_vector(apply_impulse(rest, c.pair, c.arm_a, c.arm_b, d)) for d in (c.normal, tangent))
+
+    def answered(pushed: jax.Array) -> PairVelocities:
+        return joints_of.as_velocities(pushed + joint_system.times(impact.answer, pushed))
+
+    of_n, of_t = (relative_velocity(answered(by), c.arm_a, c.arm_b) for by in (by_n, by_t))
+    knn, knt, ktt = vec2.dot(c.normal, of_n), vec2.dot(tangent, of_n), vec2.dot(tangent, of_t)
     determinant = knn * ktt - knt * knt
     inverse = jnp.where(determinant != 0, 1 / jnp.where(determinant != 0, determinant, 1), 0)
     n = c.impulse_normal - inverse * (ktt * vn - knt * vt)
@@ -264,9 +294,11 @@ def solve_impact(of: PairVelocities, impact: Impact) -> tuple[PairVelocities, Im
     sliding = jnp.where((closing > 0) & (k > 0), closing / jnp.where(k > 0, k, 1), 0)
     n, t = jnp.where(slides, sliding, n), jnp.where(slides, side * sliding, t)
     added_n, added_t = n - c.impulse_normal, t - c.impulse_tangent
-    of = apply_impulse(of, c.pair, c.arm_a, c.arm_b, c.normal * added_n[..., None] + tangent * added_t[..., None])
+    pushed = added_n * by_n + added_t * by_t
+    of = jax.tree.map(jnp.add, of, answered(pushed))
     change = jnp.maximum(jnp.abs(added_n) * knn, jnp.abs(added_t) * ktt)
-    return of, Impact(c._replace(impulse_normal=n, impulse_tangent=t), face, bias, change)
+    solved = c._replace(impulse_normal=n, impulse_tangent=t)
+    return of, impact._replace(contact=solved, pushed=impact.pushed + pushed, change=change)
 
 
 def normal_speed(of: PairVelocities, c: Row) -> jax.Array:

@@ -345,8 +345,6 @@ def solve_soft(
     if is_first:
         begun = begin_axes(bodies, joints, placed, params, use_bias=use_bias)
         joints = joints._replace(axes=choose(included, begun, joints.axes))
-    i = joints.impulses
-    third = jnp.where(joints.is_fixed, i.angular_impulse, i.angular_impulse + i.lower - i.upper)
 
     def push_unheld(at: _Attempt) -> _Attempt:
         has_none = has_axis(joints) & ~at.axes.is_held & at.included
@@ -354,7 +352,7 @@ def solve_soft(
         free = jnp.concatenate([jnp.zeros((2 * num_joints,), free.dtype), free])
         return at._replace(velocities=joint_system.pushed(system, at.velocities, free), impulses=at.impulses + free)
 
-    first = _Attempt(start, jnp.concatenate([i.point.T.ravel(), third]), joints.axes, included)
+    first = _Attempt(start, row_impulses(joints), joints.axes, included)
     bias = jnp.zeros_like(system.yielding)
     if use_bias:
         moved = pair_velocities(joints.pair, _unflat(push_unheld(first).velocities))
@@ -366,7 +364,7 @@ def solve_soft(
         wrong = wrong.at[-num_joints:].add(jnp.where(has_axis(joints), -at.axes.speed, 0))
         if use_bias:
             wrong += system.yielding * at.impulses
-        change = -joint_system.solve(system, _held_rows(joints, at.axes) & jnp.tile(at.included, 3), wrong)
+        change = -joint_system.solve(system, held_rows(joints, at.axes) & jnp.tile(at.included, 3), wrong)
         return at._replace(velocities=joint_system.pushed(system, at.velocities, change), impulses=at.impulses + change)
 
     def attempt(at: _Attempt, index: jax.Array) -> tuple[_Attempt, None]:
@@ -384,15 +382,8 @@ def solve_soft(
 
     last, _ = jax.lax.scan(attempt, first, jnp.arange(C.axial_changes))
     last = jax.lax.cond(in_any_world(jnp.any(last.included)), lambda: solve(last), lambda: last)
-    total = last.impulses[-num_joints:]
-    motor = jnp.where(last.axes.is_limit, last.axes.pushing, total)
-    solved = JointImpulses(
-        point=last.impulses[: 2 * num_joints].reshape(2, -1).T,
-        angular_impulse=jnp.where(has_axis(joints), motor, jnp.where(joints.is_fixed, total, i.angular_impulse)),
-        lower=jnp.where(has_axis(joints), jnp.maximum(total - motor, 0), i.lower),
-        upper=jnp.where(has_axis(joints), jnp.maximum(motor - total, 0), i.upper),
-    )
-    solved = jax.tree.map(lambda x, y: jnp.where(like(included, x), x, y), solved, i)
+    held = with_row_impulses(joints._replace(axes=last.axes), last.impulses)
+    solved = jax.tree.map(lambda x, y: jnp.where(like(included, x), x, y), held.impulses, joints.impulses)
     solved_velocities = _unflat(last.velocities)
     moved = active.moves(before, pair_velocities(joints.pair, solved_velocities)) & included
     return (
@@ -402,7 +393,91 @@ def solve_soft(
     )
 
 
-def _held_rows(joints: Joints, axes: AxialRows) -> jax.Array:
+def row_impulses(joints: Joints) -> jax.Array:
+    """[3J] N s or N m s, of each row."""
+    i = joints.impulses
+    third = jnp.where(joints.is_fixed, i.angular_impulse, i.angular_impulse + i.lower - i.upper)
+    return jnp.concatenate([i.point.T.ravel(), third])
+
+
+def with_row_impulses(joints: Joints, impulses: jax.Array) -> Joints:
+    """Joints with impulses [3J] of their rows: along an axis, a motor's and beyond it a limit's."""
+    i, axes, num_joints = joints.impulses, joints.axes, joints.is_held.shape[0]
+    total = impulses[-num_joints:]
+    motor = jnp.where(axes.is_limit, axes.pushing, total)
+    solved = JointImpulses(
+        point=impulses[: 2 * num_joints].reshape(2, -1).T,
+        angular_impulse=jnp.where(has_axis(joints), motor, jnp.where(joints.is_fixed, total, i.angular_impulse)),
+        lower=jnp.where(has_axis(joints), jnp.maximum(total - motor, 0), i.lower),
+        upper=jnp.where(has_axis(joints), jnp.maximum(motor - total, 0), i.upper),
+    )
+    return joints._replace(impulses=solved)
+
+
+def with_changed_impulses(joints: Joints, impulses: jax.Array) -> Joints:
+    """The same where a row of a joint has another impulse than before; others keep theirs to the bit."""
+    changed = jnp.any((impulses != row_impulses(joints)).reshape(3, -1), axis=0)
+    after = with_row_impulses(joints, impulses).impulses
+    return joints._replace(
+        impulses=jax.tree.map(lambda x, y: jnp.where(like(changed, x), x, y), after, joints.impulses)
+    )
+
+
+class Answers(NamedTuple):
+    """What joints answer to changes of the velocities of their bodies, so that their rows keep their speeds."""
+
+    impulses: jax.Array  # [3J, 3n] of rows, for a change of one
+    moved: jax.Array  # [3n, 3n] changes of velocities by them
+
+
+def answers(bodies: Bodies, joints: Joints, placed: PlacedJoints, pushed: jax.Array) -> Answers:
+    """Of what is jointed to bodies of `pushed` [n] bool; zeros in a world that has none of it."""
+    system, dtype, n = placed.system, bodies.angle.dtype, bodies.angle.shape[0]
+    none = Answers(jnp.zeros((system.rows.shape[0], 3 * n), dtype), jnp.zeros((3 * n, 3 * n), dtype))
+    if joints.is_held.shape[0] == 0:
+        return none
+    is_needed = jnp.any(has_one_of(joints.pair, pushed))
+
+    def solved() -> Answers:
+        impulses = -joint_system.solve(system, held_rows(joints, joints.axes), system.rows)
+        moved = system.inverse_mass[:, None] * joint_system.times(system.rows.T, impulses)
+        return Answers(impulses, moved)
+
+    return jax.lax.cond(in_any_world(is_needed), lambda: choose(is_needed, solved(), none), lambda: none)
+
+
+def answers_of_pairs(answers: Answers, pair: Pair) -> jax.Array:
+    """[K, 6, 6] changes of the velocities of two bodies by what joints answer to changes of them (`as_vector`)."""
+    n = answers.moved.shape[0] // 3
+    both = jnp.stack([pair.is_a, pair.is_b], axis=1).astype(answers.moved.dtype)
+    by_body = answers.moved.reshape(n, 3, n, 3)
+    precise = jax.lax.Precision.HIGHEST
+    of_both = jnp.einsum("kpi,iajb,kqj->kpaqb", both, by_body, both, precision=precise)
+    return of_both.reshape(both.shape[0], 6, 6)
+
+
+def answer(
+    answers: Answers, velocities: Velocities, impulses: jax.Array, pair: Pair, pushed: jax.Array
+) -> tuple[Velocities, jax.Array]:
+    """Velocities of all but the two bodies of a pair, and impulses [3J], after the answer to a change of those two,
+    [6]."""
+    change = (pair.is_a[:, None] * pushed[:3] + pair.is_b[:, None] * pushed[3:]).ravel()
+    moved = joint_system.times(answers.moved, change).reshape(-1, 3)
+    moved = jnp.where((pair.is_a | pair.is_b)[:, None], 0, moved)
+    after = Velocities(velocities.velocity + moved[:, :2], velocities.omega + moved[:, 2])
+    return after, impulses + joint_system.times(answers.impulses, change)
+
+
+def as_vector(of: PairVelocities) -> jax.Array:
+    """[6] of one pair: x, y and angle of a, then of b."""
+    return jnp.concatenate([of.velocity_a, of.omega_a[None], of.velocity_b, of.omega_b[None]])
+
+
+def as_velocities(vector: jax.Array) -> PairVelocities:
+    return PairVelocities(vector[:2], vector[3:5], vector[2], vector[5])
+
+
+def held_rows(joints: Joints, axes: AxialRows) -> jax.Array:
     """[3J] bool."""
     is_held = jnp.ones_like(joints.is_fixed)
     return jnp.concatenate([is_held, is_held, joints.is_fixed | (has_axis(joints) & axes.is_held)])
@@ -477,7 +552,7 @@ def begin_axes(
 
     def aimed() -> AxialRows:
         driving = rows._replace(holds=jnp.where(is_servo, axial_rows.MOTOR, begun.holds))
-        moves = joint_system.axial_inverse_mass(system, _held_rows(joints, driving))
+        moves = joint_system.axial_inverse_mass(system, held_rows(joints, driving))
         way = joints.servo.position - now.position
         target = speed_towards(joints.servo, way, rows.most * moves / params.h, params.h)
         return choose(is_servo, axial_rows.begin(driving._replace(target=target), speed), begun)

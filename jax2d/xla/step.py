@@ -150,9 +150,7 @@ def soft_step(
         bodies, contacts = choose(stopped, (bodies, contacts), (driven, warm_contacts))
         solved = found | ~stopped
         rows = joints_of.constraints(bodies, joints)
-        bodies, joints, contacts = _solve_passes(
-            Solved(bodies, joints, contacts), islands, params, rules, use_bias=True, only=solved
-        )
+        bodies, joints, contacts = _solve_passes(Solved(bodies, joints, contacts), islands, params, rules, only=solved)
         # Islands of bodies that would now go farther than was predicted are stopped before they move: their contacts
         # are found again, from here on in each sub-step.
         outrunning = outruns_contacts(
@@ -254,13 +252,12 @@ def _solve_passes(
     params: SolverNumbers,
     rules: Rules,
     *,
-    use_bias: bool,
     only: jax.Array,
     sharing: tuple[PlacedJoints, jax.Array] | None = None,
 ) -> Solved:
     """Passes with bias, or without: joints are not relaxed, since with bias they have the velocities that keep anchors
-    together. `only`: the bodies [n] that this is about. sharing: joints as the bodies
-    stand, and [] bool whether they are solved all the same, since an island has gained energy.
+    together. `only`: the bodies [n] that this is about. sharing: without bias, joints as the bodies stand, and [] bool
+    whether they are solved all the same, since an island has gained energy.
 
     Joints, contacts, and joints again: so each has what the other answers. With bias, where a speed limit takes back
     what stops a body, the rest of it is solved again with all of its island: what is jointed keeps its spin at the
@@ -268,26 +265,28 @@ def _solve_passes(
     hits, passes go on until all that it reaches has its share.
     """
     bodies, joints, contacts = start
+    use_bias = sharing is None
     jointed = marked(bodies, joints.pair, jnp.any(joints.pair.is_a, axis=-1))
     touching = islands.whole(jointed | marked(bodies, contacts.pair, contacts.key >= 0))
 
     def solve(now: Pass, index: jax.Array) -> Pass:
-        if not use_bias:
+        if sharing is not None:
+            standing, has_gained = sharing
             bodies, springs, moved = springs_of.solve(
                 now.bodies, now.joints.springs, params, now.active, use_bias=False, forces=True
             )
             joints = now.joints._replace(springs=springs)
-            if sharing is not None:
-                at, has_gained = sharing
-                shared = joints_of.solve_soft(now.bodies, now.joints, at, params, now.active, use_bias=False)
-                bodies, joints, moved = choose(has_gained, shared, (bodies, joints, moved))
+            shared = joints_of.solve_soft(now.bodies, now.joints, standing, params, now.active, use_bias=False)
+            bodies, joints, moved = choose(has_gained, shared, (bodies, joints, moved))
         else:
             now = _with_inertia(now, jnp.where(now.held, 0, start.bodies.inverse_inertia))
             standing = joints_of.place(now.bodies, now.joints)
             bodies, joints, moved = joints_of.solve_soft(
                 now.bodies, now.joints, standing, params, now.active, use_bias=True
             )
-        bodies, contacts, hit = contact_solver.solve_soft(bodies, now.contacts, params, now.active, use_bias=use_bias)
+        bodies, contacts, joints, hit = contact_solver.solve_soft(
+            bodies, now.contacts, (joints, standing), params, now.active, use_bias=use_bias
+        )
         if use_bias:
             bodies, joints, moved_again = joints_of.solve_soft(
                 bodies, joints, standing, params, now.active, use_bias=True, is_first=False
@@ -367,9 +366,7 @@ def _relax(
         reset = islands_of.reset_impulses(islands, now.bodies, now.joints, now.contacts, v_substep_start, now.gains)
         is_reset = index == C.energy_passes_before_reset
         begun = Solved(*choose(is_reset, reset, (now.bodies, now.joints, now.contacts)))
-        end = _solve_passes(
-            begun, islands, params, rules, use_bias=False, only=now.gains, sharing=(standing, index > 0)
-        )
+        end = _solve_passes(begun, islands, params, rules, only=now.gains, sharing=(standing, index > 0))
         spare = jnp.where(index + 1 == C.energy_passes_before_reset, C.reset_gain, 0)
         gains = now.gains & islands_of.gains_energy(islands, end[0], end[1], rows, end[2], bound, spare)
         return Relaxed(*end, gains)

@@ -324,6 +324,25 @@ struct Pair {
     omega_b = Fused::of(inverse_inertia_b, angular_on_b, omega_b);
   }
 
+  // With the same masses.
+  KFN Pair at_rest() const {
+    Pair pair = *this;
+    pair.velocity_a = pair.velocity_b = {real(0), real(0)};
+    pair.omega_a = pair.omega_b = real(0);
+    return pair;
+  }
+  KFN void add_to(int body, Vec2 v, real w) {
+    Vec2& velocity = body == a ? velocity_a : velocity_b;
+    velocity = velocity + v;
+    (body == a ? omega_a : omega_b) += w;
+  }
+  KFN void add(const Pair& change) {
+    velocity_a = velocity_a + change.velocity_a;
+    velocity_b = velocity_b + change.velocity_b;
+    omega_a += change.omega_a;
+    omega_b += change.omega_b;
+  }
+
   KFN void apply_angular_impulse(real impulse_on_b) {
     omega_a = Fused::of(-inverse_inertia_a, impulse_on_b, omega_a);
     omega_b = Fused::of(inverse_inertia_b, impulse_on_b, omega_b);

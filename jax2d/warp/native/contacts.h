@@ -367,9 +367,10 @@ struct Contacts {
 
   // One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes
   // back the velocity that the push added, and applies friction. In later rounds of it what bounces leaves.
-  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int round) {
+  KFN void solve_soft(Bodies& bodies, Joints& joints, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
+    Response first_moves = {real(0), real(0), real(0)}, second_moves = first_moves;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (active.leaves_out(c.a, c.b)) continue;
@@ -397,21 +398,16 @@ struct Contacts {
         bias = Fused::of(mass_scale, closes_by(pair, c, arms, soft), bias);
       real vn = c.normal.dot(pair.relative(arms.a, arms.b));
       bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
-      real mass = c.mass_normal, mass_tangent = c.mass_tangent;
-      if (!c.against_fixed) {
-        if (!bounces || round == 1) mass = c.mass_normal = pair.mass(arms.a, arms.b, c.normal);
-        mass_tangent = pair.mass(arms.a, arms.b, c.normal.right());
-      }
-      if (bounces) {
-        bias = -c.bounce;
-        bool is_settled = update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
-        if (!is_settled) bodies.add_dynamic(unsettled, c.a, c.b);
-        mass = c.mass_normal;
-      }
       bool shares = active.shares(c.a, c.b);
       if (shares) c.is_impact = true;
       if (c.is_impact && round == 0) {
-        real change = solve_block(pair, c, arms, bias, surfaces.speed_of(i));
+        unsigned int jointed[JOINT_WORDS];
+        bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
+        Response& moves = c.is_second ? second_moves : first_moves;
+        // Without bias bodies have moved since joints were solved.
+        bool is_old = !use_bias && repeats == 0;
+        real change = solve_impact(bodies, joints, soft, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, is_old, jointed},
+                                   repeats == 0, moves);
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
@@ -425,6 +421,17 @@ struct Contacts {
         }
         first_change = change;
         continue;
+      }
+      real mass = c.mass_normal, mass_tangent = c.mass_tangent;
+      if (!c.against_fixed) {
+        if (!bounces || round == 1) mass = c.mass_normal = pair.mass(arms.a, arms.b, c.normal);
+        mass_tangent = pair.mass(arms.a, arms.b, c.normal.right());
+      }
+      if (bounces) {
+        bias = -c.bounce;
+        bool is_settled = update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
+        if (!is_settled) bodies.add_dynamic(unsettled, c.a, c.b);
+        mass = c.mass_normal;
       }
       real impulse = Fused::of(-mass, Fused::of(mass_scale, vn, bias), -(impulse_scale * c.impulse_normal));
       real total = Math::max(c.impulse_normal + impulse, real(0));
@@ -440,32 +447,57 @@ struct Contacts {
     }
   }
 
-  // Normal and friction of an impact together, as each changes the other's speed: it sticks, or slides at Coulomb's limit.
-  // Returns by how much (m/s) it changed a speed.
-  KFN static real solve_block(Pair& pair, Contact& c, Arms arms, real bias, real wanted) {
-    Vec2 tangent = c.normal.right();
-    Vec2 v = pair.relative(arms.a, arms.b);
-    real vn = c.normal.dot(v) + bias, vt = tangent.dot(v) - wanted;
-    real na = arms.a.cross(c.normal), nb = arms.b.cross(c.normal), ta = arms.a.cross(tangent), tb = arms.b.cross(tangent);
-    real mass = pair.inverse_mass_a + pair.inverse_mass_b;
-    real ia = pair.inverse_inertia_a, ib = pair.inverse_inertia_b;
-    real knn = Fused::of(ib * nb, nb, Fused::of(ia * na, na, mass));
-    real ktt = Fused::of(ib * tb, tb, Fused::of(ia * ta, ta, mass));
-    real knt = Fused::of(ib * nb, tb, ia * na * ta);
-    Vec2 stick = Symmetric::solve(knn, knt, ktt, {vn, vt});
-    real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
-    if (n < real(0) || Math::abs(t) > c.friction * n) {
-      // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
-      real closing = knn * c.impulse_normal + knt * c.impulse_tangent - vn;  // without its impulses
-      real side = t > real(0) ? c.friction : -c.friction, k = knn + side * knt;
-      n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
-      t = side * n;
+  // What impulses along the normal and the tangent of a contact change of its speeds along them.
+  struct Response {
+    real nn, nt, tt;
+  };
+
+  // Where an impact acts, the speeds that are wanted, and what is jointed to its bodies: joints of their articulations, whose
+  // system may be an old one.
+  struct Impact {
+    Arms arms;
+    real bias, along;
+    bool is_jointed, is_old;
+    const unsigned int* jointed;
+  };
+
+  // Solves an impact. What is jointed to its bodies answers at once: first to an impulse of 1 along the normal and the tangent,
+  // unless it is known what these move, then to that of the impact. Returns by how much (m/s) it changed a speed.
+  KFN real solve_impact(Bodies& bodies, Joints& joints, const Soft& soft, Pair& pair, Contact& c, const Impact& impact,
+                        bool is_first, Response& moves) {
+    Vec2 tangent = c.normal.right(), added = {real(0), real(0)};
+    for (int stage = is_first ? 0 : 2; stage < 3; ++stage) {
+      Vec2 push = stage == 0 ? c.normal : tangent;
+      if (stage == 2) {
+        Vec2 v = pair.relative(impact.arms.a, impact.arms.b);
+        Vec2 total = stick_or_slide(c, {c.normal.dot(v) + impact.bias, tangent.dot(v) - impact.along}, moves);
+        added = {total.x - c.impulse_normal, total.y - c.impulse_tangent};
+        c.impulse_normal = total.x;
+        c.impulse_tangent = total.y;
+        push = (c.normal * added.x).plus(tangent, added.y);
+      }
+      Pair change = pair.at_rest();
+      change.apply_impulse(impact.arms.a, impact.arms.b, push);
+      if (impact.is_jointed) joints.add_answer(bodies, impact.jointed, soft, change, {impact.is_old && stage == 0, stage == 2}, active);
+      Vec2 speed = change.relative(impact.arms.a, impact.arms.b);
+      if (stage == 0) moves = {c.normal.dot(speed), tangent.dot(speed), real(0)};
+      if (stage == 1) moves.tt = tangent.dot(speed);
+      if (stage == 2) pair.add(change);
     }
-    pair.apply_impulse(arms.a, arms.b, c.normal * (n - c.impulse_normal) + tangent * (t - c.impulse_tangent));
-    real change = Math::max(Math::abs(n - c.impulse_normal) * knn, Math::abs(t - c.impulse_tangent) * ktt);
-    c.impulse_normal = n;
-    c.impulse_tangent = t;
-    return change;
+    return Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
+  }
+
+  // Normal impulse and friction of an impact together, as each changes the other's speed: it sticks, or slides at Coulomb's
+  // limit.
+  KFN static Vec2 stick_or_slide(const Contact& c, Vec2 speeds, const Response& moves) {
+    Vec2 stick = Symmetric::solve(moves.nn, moves.nt, moves.tt, speeds);
+    real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
+    if (n >= real(0) && Math::abs(t) <= c.friction * n) return {n, t};
+    // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
+    real closing = moves.nn * c.impulse_normal + moves.nt * c.impulse_tangent - speeds.x;  // without its impulses
+    real side = t > real(0) ? c.friction : -c.friction, k = moves.nn + side * moves.nt;
+    n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
+    return {n, side * n};
   }
 
   // Towards the `wanted` speed of b against a along the tangent.

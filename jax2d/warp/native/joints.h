@@ -11,6 +11,8 @@ struct Joints {
   ARRAY(Drive, drives, HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1);
   ARRAY(unsigned int, included, JOINT_WORDS);  // a bit a joint that a pass is about
   ARRAY(unsigned int, repeated, JOINT_WORDS);  // the same: for which it is a repeated one, of an impact
+  ARRAY(int, articulation, NUM_JOINTS > 0 ? NUM_SHAPES : 1);  // of each body: its last joint, -1: none
+  ARRAY(unsigned int, members, (NUM_JOINTS + 1) * JOINT_WORDS);  // a row an articulation, at its last joint: a bit a joint
   JointSystem system;
   Springs springs;
   int count;
@@ -40,6 +42,16 @@ struct Joints {
         system.add(system.after_of(i), k);
       }
     system.find_order();
+    for (int i = 0; i < NUM_SHAPES; ++i) articulation[i] = -1;
+    for (int k = 0; k < count; ++k) JointSystem::clear(members_of(k));
+    // `find_order` has put joints in the order of elimination, but their bodies are loaded later.
+    for (int k = 0; k < count; ++k) {
+      int packed = ints.get(INTS_JOINTS + system.order[k]);
+      int a = Slot::shape(packed >> JOINTS_A_SHIFT & JOINTS_A_MASK), b = Slot::shape(packed >> JOINTS_B_SHIFT & JOINTS_B_MASK);
+      if (bodies.is_dynamic(a)) articulation[a] = system.last[k];
+      if (bodies.is_dynamic(b)) articulation[b] = system.last[k];
+      JointSystem::add(members_of(system.last[k]), k);
+    }
   }
 
   KFN static bool shares_body(const Bodies& bodies, const Joint& one, const Joint& other) {
@@ -217,18 +229,76 @@ struct Joints {
   }
 
   KFN void push(Bodies& bodies, const unsigned int* which, ActiveSet& active) {
+    for (int k = count - 1; k >= 0; --k)
+      if (JointSystem::has(which, k)) exert(bodies, k, -system.substitute(k), active);
+  }
+
+  KFN void exert(Bodies& bodies, int k, Vec3 impulse, ActiveSet& active) {
+    Joint& joint = list[k];
+    Pair pair = Pair::of(bodies, joint.a, joint.b);
+    Vec2 before = pair.velocity_b - pair.velocity_a;
+    rows_of(k).push(pair, impulse);
+    joint.impulse = joint.impulse + Vec2{impulse.x, impulse.y};
+    if (joint.is_fixed()) joint.angular_impulse += impulse.z;
+    if (HAS_AXES && joint.has_axial_row()) joint.set_axial(system.axial[k], joint.total_impulse() + impulse.z);
+    write(bodies, pair, k, before, active);
+  }
+
+  // Joints of the articulations of two bodies; False if they have none.
+  KFN bool find_articulations(int a, int b, unsigned int* which) const {
+    if (count == 0 || (articulation[a] < 0 && articulation[b] < 0)) return false;
+    JointSystem::clear(which);
+    if (articulation[a] >= 0) JointSystem::add_all(which, members_of(articulation[a]));
+    if (articulation[b] >= 0) JointSystem::add_all(which, members_of(articulation[b]));
+    return true;
+  }
+
+  KFN unsigned int* members_of(int last) const { return members + last * JOINT_WORDS; }
+
+  // Adds to a change of the velocities of two bodies what their joints answer, so that rows keep their speeds. `is_new`: as
+  // the bodies stand now. `acts`: all that is jointed gets its answer.
+  struct Answer {
+    bool is_new, acts;
+  };
+  KFN void add_answer(Bodies& bodies, const unsigned int* which, const Soft& soft, Pair& change, Answer answer,
+                      ActiveSet& active) {
+    if (answer.is_new) {
+      for (EachJoint k = EachJoint::of(which); k.next();) place(bodies, k.joint);
+      assemble(bodies, which, soft, {false, true, false});
+    }
+    for (EachJoint k = EachJoint::of(which); k.next();) {
+      bool is_theirs = has_one_of(list[k.joint], change);
+      system.x[k.joint] =
+          is_theirs ? rows_of(k.joint).speeds(seen_by(bodies, k.joint, change)) : Vec3{real(0), real(0), real(0)};
+    }
+    system.eliminate(which, answer.is_new);
+    Pair none = change.at_rest();
     for (int k = count - 1; k >= 0; --k) {
       if (!JointSystem::has(which, k)) continue;
-      Joint& joint = list[k];
-      Pair pair = Pair::of(bodies, joint.a, joint.b);
-      Vec2 before = pair.velocity_b - pair.velocity_a;
       Vec3 impulse = -system.substitute(k);
+      if (answer.acts) exert(bodies, k, impulse, active);
+      if (!has_one_of(list[k], none)) continue;
+      Pair pair = seen_by(bodies, k, none);
       rows_of(k).push(pair, impulse);
-      joint.impulse = joint.impulse + Vec2{impulse.x, impulse.y};
-      if (joint.is_fixed()) joint.angular_impulse += impulse.z;
-      if (HAS_AXES && joint.has_axial_row()) joint.set_axial(system.axial[k], joint.total_impulse() + impulse.z);
-      write(bodies, pair, k, before, active);
+      if (pair.a == change.a || pair.a == change.b) change.add_to(pair.a, pair.velocity_a, pair.omega_a);
+      if (pair.b == change.a || pair.b == change.b) change.add_to(pair.b, pair.velocity_b, pair.omega_b);
     }
+  }
+
+  KFN static bool has_one_of(const Joint& joint, const Pair& two) {
+    return joint.a == two.a || joint.a == two.b || joint.b == two.a || joint.b == two.b;
+  }
+
+  // The pair of joint k, with velocities that two bodies have and all others have not.
+  KFN Pair seen_by(const Bodies& bodies, int k, const Pair& two) const {
+    Pair pair = Pair::of(bodies, list[k].a, list[k].b);
+    bool a_is_a = pair.a == two.a, a_is_b = pair.a == two.b, b_is_a = pair.b == two.a, b_is_b = pair.b == two.b;
+    Vec2 none = {real(0), real(0)};
+    pair.velocity_a = a_is_a ? two.velocity_a : (a_is_b ? two.velocity_b : none);
+    pair.velocity_b = b_is_a ? two.velocity_a : (b_is_b ? two.velocity_b : none);
+    pair.omega_a = a_is_a ? two.omega_a : (a_is_b ? two.omega_b : real(0));
+    pair.omega_b = b_is_a ? two.omega_a : (b_is_b ? two.omega_b : real(0));
+    return pair;
   }
 
   // Where bodies stand, and what drives and bounds axes.

@@ -198,7 +198,7 @@ struct World {
         joints.solve_soft(bodies, soft, use_bias, !is_second, contacts.active);
       else
         joints.springs.solve(bodies, soft, false, true, contacts.active);
-      if (!is_second) contacts.solve_soft(bodies, soft, use_bias, round);
+      if (!is_second) contacts.solve_soft(bodies, joints, soft, use_bias, round);
       if (use_bias) {
         is_second = !is_second;
         if (is_second) continue;
