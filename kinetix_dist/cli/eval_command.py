@@ -95,7 +95,7 @@ def run(args: Args) -> int:
     start_computing("" if trained is None else trained.config.run.compile_cache)
     with user_errors(ValueError, OSError):
         levels, names = load_level_set(args.levels, args.size)
-    env = environment_of(args, trained, levels)
+    env = environment_of(args.preset, trained, levels)
     players = players_of(args, trained, env, levels)
     rates = _evaluate(args, env, players, levels, list(names))
     first, bases = next(iter(rates)), base_levels(args.levels, names)
@@ -242,7 +242,7 @@ def trained_of(args: Args) -> Trained | None:
     return trained
 
 
-def environment_of(args: Args, trained: Trained | None, levels: Level) -> Environment:
+def environment_of(preset_name: str | None, trained: Trained | None, levels: Level) -> Environment:
     """The environment that the policy was trained in, or the default one; with the requested physics."""
     from jax2d.settings import preset
     from kinetix_dist.env.environment import EnvConfig, Environment
@@ -252,8 +252,8 @@ def environment_of(args: Args, trained: Trained | None, levels: Level) -> Enviro
     capacity = capacity_of(levels)
     size = next(name for name, known in SIZES.items() if known == capacity)
     env_config = EnvConfig(size=size) if trained is None else trained.env_config(size)
-    if args.preset is not None:
-        env_config = dataclasses.replace(env_config, physics=preset(args.preset))
+    if preset_name is not None:
+        env_config = dataclasses.replace(env_config, physics=preset(preset_name))
     return Environment(env_config)
 
 

@@ -119,7 +119,7 @@ def _rollouts(args: Render) -> list[Rollout]:
     trained = eval_command.trained_of(requested)
     start_computing("" if trained is None else trained.config.run.compile_cache)
     levels, names = _levels(args)
-    env = eval_command.environment_of(requested, trained, levels)
+    env = eval_command.environment_of(requested.preset, trained, levels)
     player = eval_command.players_of(requested, trained, env, levels)[args.by]
     return record_rollouts(env, player, levels, prng.key(args.seed), names=names, seed=args.seed)
 

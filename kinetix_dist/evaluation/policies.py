@@ -63,14 +63,15 @@ class NetworkPolicy:
 
     def __call__(self, params: Any, obs: Any, keys: Array) -> Array:
         outputs, _ = self.module.apply(params, obs)
-        return self._choose(outputs, keys)
+        return self.choose(outputs, keys)
 
     def act_with_memory(self, params: Any, obs: Any, keys: Array, memory: Array) -> tuple[Array, Array]:
         """(actions, next memory [W, size]) of a recurrent network."""
         outputs, _, memory = self.module.apply(params, obs, memory)
-        return self._choose(outputs, keys), memory
+        return self.choose(outputs, keys), memory
 
-    def _choose(self, outputs: Any, keys: Array) -> Array:
+    def choose(self, outputs: Any, keys: Array) -> Array:
+        """Actions [W, ...] from outputs of the actor."""
         if self.greedy:
             return self.distribution.mode(outputs)
         uniforms = jax.vmap(lambda key: prng.uniform(key, (self.distribution.num_uniforms,)))(keys)

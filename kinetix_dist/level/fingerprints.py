@@ -58,6 +58,12 @@ def check_fingerprint(name: str, levels: Level, expected: str) -> None:
         )
 
 
+def is_in_order(levels: Level, expected: str) -> bool:
+    """Each of the first levels is the one of its place in a fingerprint, to rounding."""
+    drawn, known = _codes(levels), [_parsed(code) for code in expected.split()]
+    return len(drawn) == len(known) and all(code in _alike(*other) for code, other in zip(drawn, known))
+
+
 def _codes(levels: Level) -> list[tuple[int, int]]:
     first = jax.tree.map(lambda x: np.asarray(x)[:NUM_CHECKED], levels)
     return list(zip(_structures(first), np.rint(_coarse(first) / COARSE_STEP).astype(int).tolist(), strict=True))

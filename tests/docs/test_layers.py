@@ -20,7 +20,7 @@ LAYERS = (
     ("api", "delay", "recipes"),
     ("runtime",),
     ("studio",),
-    ("trained_policy",),
+    ("data", "trained_policy"),
     ("config",),
     ("actors", "learner", "curator", "evaluation"),
     ("messages",),

@@ -53,7 +53,8 @@ from kinetix_dist.level.canonical import swap_ends
 from kinetix_dist.level.derive import connections
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, Level, Role, obeying_motors
 
-NUM_BODY_FEATURES = 7
+BODY_ENTRIES = ("position_x", "position_y", "velocity_x", "velocity_y", "tanh_spin", "sin_angle", "cos_angle")
+NUM_BODY_FEATURES = len(BODY_ENTRIES)
 NUM_CIRCLE_FEATURES = 19
 NUM_JOINT_FEATURES = 25
 NUM_THRUSTER_FEATURES = 8
@@ -120,6 +121,8 @@ class EntityObservation(Observation):
     """The functions below as the object that others are given."""
 
     gives = ENTITIES
+    entries = {"bodies": BODY_ENTRIES}
+    masks = {"bodies": "shape_mask", "touching": "shape_mask"}
 
     def static(self, levels: Level) -> StaticObs:
         return static_obs(levels)

@@ -28,6 +28,7 @@ import numpy as np
 
 from jax2d.scene import Array, JointKind, pack_bits, touch_matrix
 from kinetix_dist.env.observations.entities import (
+    BODY_ENTRIES,
     NUM_CIRCLE_FEATURES,
     NUM_THRUSTER_FEATURES,
     DynamicObs,
@@ -73,6 +74,8 @@ class KinetixEntityObservation(Observation):
     """See above."""
 
     gives = ENTITIES
+    entries = {"entities/bodies": BODY_ENTRIES}
+    masks = {"entities/bodies": "entities/shape_mask", "entities/touching": "entities/shape_mask"}
 
     def static(self, levels: Level) -> KinetixStaticObs:
         frame_origin = _frame_origin(levels)

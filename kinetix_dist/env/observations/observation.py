@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import jax
 
@@ -40,6 +41,10 @@ class Observation(abc.ABC):
 
     gives: str  # kind of policy input: ENTITIES, VECTOR, IMAGE or one of your own; networks say which they take
     working_bytes: int = 0  # of device memory that `join` takes for a world; 0: too few to count
+    # For readers of data sets, by path through `dynamic`: names along the last axis, and the mask in `static` whose
+    # False rows hold nothing. What is not named here stands in a data set with its shape alone.
+    entries: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    masks: ClassVar[Mapping[str, str]] = {}
 
     @abc.abstractmethod
     def static(self, levels: Level) -> Any:

@@ -70,6 +70,7 @@ class PixelObservation(Observation):
     """The picture of a world."""
 
     gives = IMAGE
+    entries = {"": ("position_x", "position_y", "angle")}
     working_bytes = PIXELS**2 * (4 + 4 + 4 + 3)  # background, picture as words, the bytes of these, three of them
 
     def static(self, levels: Level) -> PixelStatic:

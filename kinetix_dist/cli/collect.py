@@ -1,0 +1,212 @@
+"""`kinetix-dist collect`: plays a policy and stores its transitions as a data set.
+
+    kinetix-dist collect --policy generalist --levels designed_s --transitions 1e6 --out data
+    kinetix-dist collect --policy runs/quickstart --levels designed_s --noise 0.1 --sticky 0.1 --out noisy
+    kinetix-dist collect --policy random --levels random_s --out random
+
+The same command goes on with a collection that was stopped or killed, and with more --transitions adds to one that was
+finished. docs/data.md describes the files.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from kinetix_dist.cli.checks import check_seed
+from kinetix_dist.cli.streams import say
+from kinetix_dist.errors import UserError, one_line, user_errors
+
+if TYPE_CHECKING:
+    from kinetix_dist.data.collect import Collection
+    from kinetix_dist.data.shards import Shard
+    from kinetix_dist.trained_policy import Trained
+
+BASELINES = ("random", "noop")
+NO_VERSION = -1  # of a policy that has learned nothing
+DEFAULT_WORLDS = {"gpu": 2048, "cpu": 64}
+DEFAULT_SHARD = {"gpu": 1 << 20, "cpu": 1 << 16}  # transitions: 512 and 1,024 steps of each world
+SECONDS_BETWEEN_LINES = 5.0
+
+
+@dataclasses.dataclass
+class Args:
+    """Play a policy and store its transitions as a data set."""
+
+    policy: str
+    """A run, a checkpoint, a pretrained policy by name (generalist), `random` (uniform actions) or `noop` (none)."""
+    levels: str
+    """A set (designed_s, random_s ... with s, m or l), a directory of level files, or one level file."""
+    out: Path
+    """Directory of the data set: a new one, or one of the same command, which goes on."""
+    transitions: float = 1e6
+    """Transitions, rounded up to whole shards."""
+    size: str | None = None
+    """Levels from files in arrays of this size (s, m or l) instead of the smallest that fits all of them."""
+    preset: Annotated[str | None, tyro.conf.arg(name="env.preset")] = None
+    """Play with the solver settings of this preset instead of those that the policy was trained with."""
+    noise: float = 0.0
+    """Probability that a step executes a uniform action instead of the policy's."""
+    sticky: float = 0.0
+    """Probability that a step executes the action of the step before instead."""
+    greedy: bool = False
+    """Most likely actions instead of samples."""
+    worlds: int | None = None
+    """Worlds that play at once, each one level a shard; left out: 2048 on a GPU, 64 on a CPU."""
+    shard_transitions: int | None = None
+    """Transitions of a shard, a multiple of --worlds; left out: 2^20 on a GPU, 2^16 on a CPU."""
+    seed: int = 0
+    """Seed of actions, disturbances and the order of levels."""
+
+
+def run(args: Args) -> int:
+    check(args)
+    from kinetix_dist.cli.checks import start_computing
+    from kinetix_dist.data import DatasetError
+
+    trained = _trained(args.policy)
+    start_computing("" if trained is None else trained.config.run.compile_cache)
+    with user_errors(DatasetError, ValueError):
+        collection = _collection(args, trained)
+    num_shards = math.ceil(args.transitions / collection.rows_per_shard)
+    print(
+        f"collecting {num_shards * collection.rows_per_shard:,} transitions of {args.levels} into {args.out}: "
+        f"{num_shards} shards of {collection.num_worlds} worlds x {collection.num_steps} steps",
+        flush=True,
+    )
+    return _collect(args.out, collection, num_shards)
+
+
+def check(args: Args) -> None:
+    """Complains before anything slow happens."""
+    for name in ("noise", "sticky"):
+        if not 0 <= getattr(args, name) < 1:
+            raise UserError(f"--{name} is {getattr(args, name)}; it is a probability, from 0 to below 1")
+    if not 1 <= args.transitions < math.inf:
+        raise UserError(f"--transitions is {args.transitions:g}; it must be 1 or more")
+    for name in ("worlds", "shard_transitions"):
+        if (value := getattr(args, name)) is not None and value < 1:
+            raise UserError(f"--{name.replace('_', '-')} is {value}; it must be 1 or more")
+    if args.greedy and args.policy in BASELINES:
+        raise UserError(f"--greedy is for trained policies, and --policy is {args.policy}; leave it out")
+    if args.preset is not None:
+        from jax2d.settings import preset
+
+        with user_errors(ValueError):
+            preset(args.preset)
+    check_seed(args.seed)
+
+
+def _trained(policy: str) -> Trained | None:
+    """The checkpoint that plays; None for a baseline."""
+    from kinetix_dist.trained_policy import checkpoint_at, newest_checkpoint_of
+
+    if policy in BASELINES:
+        return None
+    if not policy:
+        raise UserError("--policy is empty; name a run, a checkpoint or a pretrained policy, or random or noop")
+    path = Path(policy)
+    return newest_checkpoint_of(path)[0] if (path / "checkpoints").is_dir() else checkpoint_at(path)
+
+
+def _collection(args: Args, trained: Trained | None) -> Collection:
+    import jax
+
+    from kinetix_dist.cli.eval_command import environment_of
+    from kinetix_dist.data.collect import Collection
+    from kinetix_dist.data.rollout import Disturbance
+    from kinetix_dist.evaluation.policies import NoopPolicy, Player, RandomPolicy
+    from kinetix_dist.level.sets import load_level_set
+
+    with user_errors(ValueError, OSError):
+        levels, names = load_level_set(args.levels, args.size)
+    env = environment_of(args.preset, trained, levels)
+    if trained is not None:
+        player = trained.player(env, levels, greedy=args.greedy)
+    else:
+        player = Player({"random": RandomPolicy, "noop": NoopPolicy}[args.policy](env.action_space))
+    device = "cpu" if jax.default_backend() == "cpu" else "gpu"
+    worlds = args.worlds or DEFAULT_WORLDS[device]
+    per_shard = args.shard_transitions or DEFAULT_SHARD[device]
+    if per_shard % worlds:
+        raise UserError(f"--shard-transitions {per_shard} is not a multiple of --worlds {worlds}; change one")
+    return Collection(
+        env=env,
+        player=player,
+        policy=_description(args, trained),
+        levels=levels,
+        level_names=list(names),
+        level_set=args.levels,
+        disturbance=Disturbance(noise=args.noise, sticky=args.sticky),
+        num_worlds=worlds,
+        num_steps=per_shard // worlds,
+        seed=args.seed,
+    )
+
+
+def _description(args: Args, trained: Trained | None) -> dict[str, Any]:
+    """Policy of the manifest. sha256: of the parameters that play, by name."""
+    if trained is None:
+        return {"name": args.policy, "version": NO_VERSION, "sha256": "", "greedy": False}
+    from kinetix_dist.evaluation.load_policy import released_arrays
+
+    digest = hashlib.sha256()
+    for name, array in sorted(released_arrays(trained.checkpoint).items()):
+        digest.update(name.encode() + array.tobytes())
+    name = Path(args.policy).name or args.policy
+    return {"name": name, "version": trained.num_updates, "sha256": digest.hexdigest(), "greedy": args.greedy}
+
+
+def _collect(out: Path, collection: Collection, num_shards: int) -> int:
+    from kinetix_dist.data import DatasetError
+    from kinetix_dist.data.collect import collect
+
+    made: list[Shard] = []
+    began = time.monotonic()
+    times: list[float] = []  # s at which each shard was written
+    said = -SECONDS_BETWEEN_LINES
+
+    def on_shard(shard: Shard, seconds: float) -> None:
+        nonlocal said
+        made.append(shard)
+        times.append(seconds)
+        if seconds >= said + SECONDS_BETWEEN_LINES or shard.shard == num_shards - 1:
+            said = seconds
+            say(_progress(made, shard, num_shards, seconds), sys.stdout)
+
+    try:
+        shards = collect(collection, out, num_shards, on_shard)
+    except DatasetError as error:
+        raise UserError(one_line(error)) from None
+    except OSError as error:
+        raise UserError(
+            f"shard {len(made)} of this command cannot be written ({one_line(error.strerror or error)}); the "
+            f"{len(made)} before it are whole, and the same command goes on"
+        ) from None
+    num_rows = sum(shard.rows for shard in shards)
+    num_bytes = sum(shard.bytes for shard in shards)
+    lines = [f"{out}: {num_rows:,} transitions in {len(shards)} shards, {num_bytes / num_rows:.1f} bytes a transition"]
+    if not made:
+        lines = [f"{lines[0]}; nothing was missing"]
+    elif len(made) > 1:  # the first one compiles
+        rate = sum(shard.rows for shard in made[1:]) / max(times[-1] - times[0], 1e-9)
+        lines.append(f"{60 * rate:,.0f} transitions a minute after the first shard, {time.monotonic() - began:.0f} s")
+    else:
+        lines.append(f"{made[0].rows:,} transitions in {times[0]:.0f} s, compiling included")
+    print("\n".join(lines))
+    return 0
+
+
+def _progress(made: list[Shard], shard: Shard, num_shards: int, seconds: float) -> str:
+    episodes, solved = (sum(getattr(each, name) for each in made) for name in ("episodes", "solved"))
+    return (
+        f"shard {shard.shard + 1} of {num_shards}  {seconds:.0f} s  {shard.bytes / 1e6:.1f} MB  "
+        f"{solved / max(episodes, 1):.1%} of {episodes:,} episodes solved"
+    )

@@ -1,0 +1,186 @@
+"""Collecting a data set: shard after shard is played on the device while the one before is written by a thread.
+
+    play (device)  --> at most one shard waits --> writer thread: to the host, columns, zstd, disk, line of the index
+
+The main thread waits for the thread to take a shard, and is unblocked by it, also where it failed. Shard k depends on
+the settings, the seed and k alone, so that a collection that was killed goes on with the shards that are missing.
+World w of shard k plays level number k W + w of a shuffled round over all levels: every level is played by as many
+worlds as any other.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import dataclasses
+import fcntl
+import hashlib
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from kinetix_dist import prng
+from kinetix_dist.data import level_file, manifest
+from kinetix_dist.data.columns import Transitions, to_parquet
+from kinetix_dist.data.manifest import DatasetError
+from kinetix_dist.data.rollout import Disturbance, Played, play
+from kinetix_dist.data.shards import INDEX, Shard, read_index, write_shard
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.level_pool import LevelPool
+from kinetix_dist.evaluation.policies import Player
+from kinetix_dist.level.fingerprints import fingerprint
+from kinetix_dist.level.level import Level
+
+COLLECT_STREAM = 0x434F4C4C  # "COLL": key of actions, and of the order of levels
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Collection:
+    """Settings of a data set, apart from how many shards of it there are."""
+
+    env: Environment
+    player: Player
+    policy: dict[str, Any]  # description for the manifest: name, checkpoint and version
+    levels: Level  # [L, ...]
+    level_names: list[str]
+    level_set: str
+    disturbance: Disturbance = dataclasses.field(default_factory=Disturbance)
+    num_worlds: int
+    num_steps: int  # of each world in a shard
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.num_steps < (most := self.env.config.max_steps):
+            raise DatasetError(
+                f"a shard has {self.num_steps} steps of each of {self.num_worlds} worlds, and an episode up to {most}: "
+                f"its end would never be seen; use shards of {most * self.num_worlds} transitions or more, or fewer "
+                "worlds"
+            )
+
+    @property
+    def rows_per_shard(self) -> int:
+        return self.num_worlds * self.num_steps
+
+    def manifest(self, levels_content: bytes) -> dict[str, Any]:
+        return manifest.make_manifest(
+            self.env,
+            {
+                "set": self.level_set,
+                "number": len(self.level_names),
+                "sha256": hashlib.sha256(levels_content).hexdigest(),
+                "fingerprint": fingerprint(self.levels),
+            },
+            {
+                "policy": self.policy,
+                "noise": self.disturbance.noise,
+                "sticky": self.disturbance.sticky,
+                "seed": self.seed,
+                "worlds": self.num_worlds,
+                "shard_transitions": self.rows_per_shard,
+            },
+        )
+
+    def level_numbers(self, shard: int) -> np.ndarray:
+        """[W] int32 level of each world."""
+        num_levels = len(self.level_names)
+        slots = shard * self.num_worlds + np.arange(self.num_worlds)
+        rounds = {turn: self._order(turn) for turn in set((slots // num_levels).tolist())}
+        return np.array([rounds[slot // num_levels][slot % num_levels] for slot in slots.tolist()], np.int32)
+
+    def _order(self, turn: int) -> np.ndarray:
+        return np.random.default_rng((self.seed, COLLECT_STREAM, turn)).permutation(len(self.level_names))
+
+
+def collect(
+    collection: Collection, folder: Path, num_shards: int, on_shard: Callable[[Shard, float], None] = lambda *_: None
+) -> list[Shard]:
+    """All shards of a data set with `num_shards` or more of them; those that are missing are made.
+
+    on_shard: called with each new one and the seconds since the first was begun. Raises DatasetError where the folder
+    holds something else, and OSError where a shard cannot be written: what is there stays valid then.
+    """
+    with _opened(collection, folder):
+        there = {shard.shard for shard in read_index(folder) if _is_there(folder, shard)}
+        missing = [number for number in range(num_shards) if number not in there]
+        pool = LevelPool(collection.env, collection.levels)
+        began = time.monotonic()
+        # A thread, not a process: Arrow, zstd, SHA-256 and the disk run without Python's lock.
+        with concurrent.futures.ThreadPoolExecutor(max_workers=1) as writer:
+            writing: concurrent.futures.Future[Shard] | None = None
+            for number in missing:
+                played = _play(collection, pool, number)  # returns before the device is done
+                if writing is not None:
+                    on_shard(writing.result(), time.monotonic() - began)
+                writing = writer.submit(_write, collection, folder, number, played)
+            if writing is not None:
+                on_shard(writing.result(), time.monotonic() - began)
+    return read_index(folder)
+
+
+@contextmanager
+def _opened(collection: Collection, folder: Path) -> Iterator[None]:
+    """A folder with levels and manifest of this collection, which no other process writes to."""
+    described = level_file.describe_levels(collection.env, collection.levels, collection.level_names)
+    content = level_file.encode_levels(described)
+    wanted = collection.manifest(content)
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / INDEX).open("ab") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DatasetError(f"{folder} is being written by another process; wait for it, or name another") from None
+        if (folder / manifest.FILE).exists():
+            manifest.check_same_collection(manifest.read_manifest(folder), wanted, folder)
+        else:
+            level_file.write_levels(folder, content)
+            manifest.write_manifest(folder, wanted)  # last: with it the folder is a data set
+        yield
+
+
+def _is_there(folder: Path, shard: Shard) -> bool:
+    """The file of a shard has its size; what is in it is checked when it is read."""
+    path = folder / shard.file
+    return path.is_file() and path.stat().st_size == shard.bytes
+
+
+def _play(collection: Collection, pool: LevelPool, number: int) -> Played:
+    key = prng.fold_in(prng.fold_in(prng.key(collection.seed), COLLECT_STREAM), number)
+    prepared = pool.select(collection.level_numbers(number))
+    policy, params = collection.player
+    return play(collection.env, policy, collection.disturbance, collection.num_steps, params, prepared, key)
+
+
+def _write(collection: Collection, folder: Path, number: int, played: Played) -> Shard:
+    rows = rows_of(collection, number, jax.device_get(played))
+    counts = {"rows": len(rows.done), "episodes": int(rows.done.sum()), "solved": int(rows.solved.sum())}
+    return write_shard(folder, number, to_parquet(rows), counts)
+
+
+def rows_of(collection: Collection, number: int, played: Played) -> Transitions:
+    """Rows of shard `number`, sorted by episode and step: those of a world follow those of the world before."""
+    num_worlds, num_steps = collection.num_worlds, collection.num_steps
+    first = np.ones((num_worlds, num_steps), bool)
+    first[:, 1:] = played.done[:, :-1]
+    row = np.arange(num_worlds * num_steps).reshape(num_worlds, num_steps)
+    begin = np.maximum.accumulate(np.where(first, row, 0), axis=1)
+    flat: Played = jax.tree.map(lambda x: x.reshape(num_worlds * num_steps, *x.shape[2:]), played)
+    return Transitions(
+        static_obs=None,
+        dynamic_obs=flat.dynamic_obs,
+        level=np.repeat(collection.level_numbers(number), num_steps),
+        actions=flat.actions,
+        rewards=flat.rewards,
+        done=flat.done,
+        solved=flat.solved,
+        timed_out=flat.timed_out,
+        first=first.reshape(-1),
+        log_prob=flat.log_prob,
+        chosen_by=flat.chosen_by,
+        episode=begin.reshape(-1) + np.int64(number) * collection.rows_per_shard,
+        step=(row - begin).astype(np.int32).reshape(-1),
+        policy_version=np.full(num_worlds * num_steps, collection.policy["version"], np.int32),
+    )

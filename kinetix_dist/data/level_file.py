@@ -1,0 +1,115 @@
+"""Levels of a data set, `levels.npz`: each once, with what a level alone fixes of an observation.
+
+level/...        arrays of the levels, [L, ...]
+static_obs/...   static part of the observation, [L, ...], see the manifest
+robot_mask       [L, n] bool, shapes that the actions move, see `robot_mask`
+bound_heads      [L, dimensions] bool, dimensions of the action that something in the level obeys
+names            [L] text
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.checkpoint import ArrayMismatchError, flatten_arrays, select_arrays, unflatten_arrays
+from kinetix_dist.data.manifest import DatasetError, observation_shapes
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.level.level import Level, obeying_motors
+from kinetix_dist.level.walls import empty_level
+
+FILE = "levels.npz"
+
+
+class Levels(NamedTuple):
+    """L levels and what each fixes."""
+
+    levels: Level  # [L, ...]
+    names: list[str]
+    static_obs: Any  # [L, ...]
+    robot_mask: np.ndarray  # [L, n] bool
+    bound_heads: np.ndarray  # [L, dimensions] bool
+
+
+def describe_levels(env: Environment, levels: Level, names: list[str]) -> Levels:
+    prepared = env.prepare(levels)
+    num_levels = len(names)
+    every = np.ones((num_levels, env.action_space.num_dimensions), bool)
+    bound = every if prepared.bound_heads is None else np.asarray(prepared.bound_heads)
+    return Levels(
+        levels=jax.tree.map(np.asarray, levels),
+        names=names,
+        static_obs=jax.tree.map(np.asarray, prepared.static_obs),
+        robot_mask=robot_mask(levels),
+        bound_heads=bound,
+    )
+
+
+def robot_mask(levels: Level) -> np.ndarray:
+    """[L, n] bool: shapes that move and that joints, through others that move, connect to a thruster or to a motor that
+    obeys an action. What hangs on the same fixed body alone is no part of it."""
+    shapes, joints, thrusters = levels.scene.shapes, levels.scene.joints, levels.scene.thrusters
+    moves = np.asarray(shapes.active & (shapes.inverse_mass > 0))
+    a, b, active = (np.asarray(x) for x in (joints.a, joints.b, joints.active))
+    world = np.arange(len(moves))[:, None]
+    robot = np.zeros_like(moves)
+    obeys = np.asarray(obeying_motors(levels))
+    for ends, is_driven in ((a, obeys), (b, obeys), (thrusters.body, thrusters.active)):
+        ends, is_driven = np.asarray(ends), np.asarray(is_driven)
+        np.logical_or.at(robot, (np.broadcast_to(world, ends.shape), ends), is_driven)
+    robot &= moves
+    for _ in range(a.shape[1]):  # the longest chain has all joints
+        seen_from_a, seen_from_b = (np.take_along_axis(robot, ends, axis=1) & active for ends in (a, b))
+        where = np.broadcast_to(world, a.shape)
+        np.logical_or.at(robot, (where, b), seen_from_a)
+        np.logical_or.at(robot, (where, a), seen_from_b)
+        robot &= moves
+    return robot
+
+
+def encode_levels(levels: Levels) -> bytes:
+    """Content of the file: the same levels give the same bytes."""
+    arrays = {f"level/{name}": array for name, array in flatten_arrays(levels.levels).items()}
+    arrays |= {f"static_obs/{name}": array for name, array in flatten_arrays(levels.static_obs).items()}
+    arrays |= {"robot_mask": levels.robot_mask, "bound_heads": levels.bound_heads, "names": np.array(levels.names)}
+    content = io.BytesIO()
+    np.savez_compressed(content, **arrays)
+    return content.getvalue()
+
+
+def write_levels(folder: Path, content: bytes) -> None:
+    replace_file(folder / FILE, content)
+
+
+def read_levels(folder: Path, env: Environment, sha256: str) -> Levels:
+    """Raises DatasetError where the file is missing, damaged or not that of an environment like this."""
+    path = folder / FILE
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DatasetError(f"{path} cannot be read: {error.strerror}") from None
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise DatasetError(f"{path} is damaged: its SHA-256 is not that of the manifest; copy or collect it again")
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        num_levels = len(arrays["names"])
+        levels = jax.tree.map(
+            lambda x: jax.ShapeDtypeStruct((num_levels, *np.shape(x)), np.asarray(x).dtype), empty_level(env.capacity)
+        )
+        return Levels(
+            levels=unflatten_arrays(levels, select_arrays(arrays, "level")),
+            names=arrays["names"].tolist(),
+            static_obs=unflatten_arrays(observation_shapes(env, num_levels)[0], select_arrays(arrays, "static_obs")),
+            robot_mask=arrays["robot_mask"],
+            bound_heads=arrays["bound_heads"],
+        )
+    except (ArrayMismatchError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise DatasetError(f"{path} is not of this environment, or of another version: {error}") from None

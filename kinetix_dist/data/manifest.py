@@ -1,0 +1,148 @@
+"""Description of a data set, `dataset.json`: what its transitions are of, and checks against what is needed.
+
+It says nothing about how many transitions there are: the index of shards does, and `collect` may add more.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.checkpoint import flatten_arrays
+from kinetix_dist.config import build, differing, to_dict
+from kinetix_dist.env.env_config import EnvConfig, describe
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.level.walls import empty_level
+
+FILE = "dataset.json"
+FORMAT = "kinetix-dist-dataset"
+VERSION = 1
+ABOUT_ONLY = ("package",)  # entries that may differ between two runs of one collection
+MAX_TEXT = 120  # characters of a difference
+
+
+class DatasetError(ValueError):
+    """A data set that cannot be used, and why, in one line."""
+
+
+def make_manifest(env: Environment, levels: Mapping[str, Any], behaviour: Mapping[str, Any]) -> dict[str, Any]:
+    """levels: "set", "number", "fingerprint" and "sha256" of the file; behaviour: policy, noise, seed and sizes."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "package": version("kinetix-dist"),
+        "env": to_dict(env.config),
+        "physics": describe(env.config.physics),
+        "observation": describe_observation(env),
+        "action_space": describe_actions(env),
+        "levels": dict(levels),
+        **behaviour,
+    }
+
+
+def observation_shapes(env: Environment, num_levels: int = 1) -> tuple[Any, Any]:
+    """(static, dynamic) observation of so many worlds as `jax.ShapeDtypeStruct`s."""
+    one = empty_level(env.capacity)
+    levels = jax.tree.map(lambda x: jax.ShapeDtypeStruct((num_levels, *np.shape(x)), np.asarray(x).dtype), one)
+    prepared = jax.eval_shape(env.prepare, levels)
+    return prepared.static_obs, prepared.initial_obs
+
+
+def describe_observation(env: Environment) -> dict[str, Any]:
+    """Fields of an observation by the names of their columns, with the shapes of one transition."""
+    fields = {}
+    for name, leaf in named_shapes(observation_shapes(env)[1]).items():
+        fields[column_of(name)] = {"shape": list(leaf.shape[1:]), "dtype": str(leaf.dtype)}
+        if name in env.observation.entries:
+            fields[column_of(name)]["entries"] = list(env.observation.entries[name])
+        if name in env.observation.masks:  # rows of the first axis are shapes
+            fields[column_of(name)] |= {"used": f"static_obs/{env.observation.masks[name]}", "robot": "robot_mask"}
+    return {
+        "name": env.config.observation,
+        "gives": env.observation.gives,
+        "fields": fields,
+    }
+
+
+def describe_actions(env: Environment) -> dict[str, Any]:
+    space = env.action_space
+    names = [name.name for name in space.action_names]
+    return {"name": space.name, "low": list(space.low), "high": list(space.high), "names": names}
+
+
+def column_of(name: str) -> str:
+    """Column of a field of the dynamic observation, by its path through it: "bodies" -> "observation.bodies"."""
+    return ".".join(["observation", *filter(None, name.split("/"))])
+
+
+def named_shapes(shapes: Any) -> dict[str, jax.ShapeDtypeStruct]:
+    """Leaves by the names that `flatten_arrays` gives them."""
+    names = flatten_arrays(jax.tree.map(lambda leaf: np.zeros((1,)), shapes))
+    return dict(zip(names, jax.tree.leaves(shapes), strict=True))
+
+
+def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
+    replace_file(folder / FILE, json.dumps(manifest, indent=1).encode() + b"\n")
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Raises DatasetError for what is no data set, for a damaged one and for one of another format or version."""
+    path = folder / FILE
+    try:
+        manifest = json.loads(path.read_bytes())
+        kind, number = manifest["format"], manifest["version"]
+    except (FileNotFoundError, NotADirectoryError):
+        raise DatasetError(f"{folder} is no data set: it has no {FILE}; `kinetix-dist collect` makes one") from None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise DatasetError(f"{path} cannot be read ({type(error).__name__}: {error})") from None
+    if kind != FORMAT:
+        raise DatasetError(f"{path} is of format {kind!r}, not {FORMAT!r}")
+    if number != VERSION:
+        raise DatasetError(
+            f"{path} has format version {number}, and this version of kinetix-dist reads {VERSION}; "
+            f"it was written by kinetix-dist {manifest.get('package')}"
+        )
+    return manifest
+
+
+def env_config_of(manifest: Mapping[str, Any], folder: Path) -> EnvConfig:
+    """The environment that the data set is of. Raises DatasetError for one that this version does not have."""
+    try:
+        return build(EnvConfig, manifest["env"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise DatasetError(f"{folder / FILE}: env: {error}") from None
+
+
+def check_same_collection(found: Mapping[str, Any], wanted: Mapping[str, Any], folder: Path) -> None:
+    """Raises DatasetError where the data set of a folder is not the one that a command would write."""
+    theirs, ours = ({k: v for k, v in content.items() if k not in ABOUT_ONLY} for content in (found, wanted))
+    if names := [text[:MAX_TEXT] for text in differing(ours, theirs)]:
+        more = f" and {len(names) - 2} more" if len(names) > 2 else ""
+        raise DatasetError(
+            f"{folder} holds another data set: {'; '.join(names[:2])}{more}; give --out another folder, or the options "
+            "of that one"
+        )
+
+
+def check_env(manifest: Mapping[str, Any], config: EnvConfig, folder: Path) -> None:
+    """Raises DatasetError, naming the first, where transitions are not those of an environment like `config`."""
+    theirs, ours = manifest["env"], dataclasses.asdict(config)
+    for name in ("size", "observation", "action_space", "frame_skip"):
+        if theirs[name] != ours[name]:
+            raise DatasetError(
+                f"data set {folder} is of env.{name} {theirs[name]!r}, not {ours[name]!r}; set env.{name} to that, or "
+                "give another data set"
+            )
+    if manifest["physics"] != describe(config.physics):
+        raise DatasetError(
+            f"data set {folder} is of physics {manifest['physics']!r}, not {describe(config.physics)!r}; give "
+            "--env.preset or another data set"
+        )
