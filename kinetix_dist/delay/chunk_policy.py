@@ -40,9 +40,9 @@ from kinetix_dist.level.walls import empty_level
 from kinetix_dist.models.flow_network import FlowNetwork
 from kinetix_dist.models.policy import PolicyConfig, make_encoder
 from kinetix_dist.setting import ConfigError, check_settings, setting
+from kinetix_dist.trained_policy import CHUNK_POLICY
 
-PARAMS_PREFIX = "flow/params"
-DESCRIPTION = "chunk_policy"  # where the description of a checkpoint holds `FlowConfig` and environment
+PARAMS_PREFIX = "flow/params"  # of the arrays of a checkpoint
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class FlowConfig:
 
     horizon: int = setting(16, minimum=1)  # actions of a chunk
     integration_steps: int = setting(5, minimum=1)  # K, Euler steps from noise to a chunk
-    max_prefix: int = setting(0, minimum=0)  # training-time RTC: longest delay that training simulates; 0: none
+    max_delay: int = setting(0, minimum=0)  # training-time RTC: longest delay that training simulates; 0: none
     width: int = setting(256, minimum=2)  # channels of an action's token
     token_width: int = setting(64, minimum=1)
     num_layers: int = setting(4, minimum=1)
@@ -62,9 +62,9 @@ class FlowConfig:
         check_settings(self)
         if self.width % 2:
             raise ConfigError(f"FlowConfig.width is {self.width}; it must be even")
-        if self.max_prefix >= self.horizon:
+        if self.max_delay >= self.horizon:
             raise ConfigError(
-                f"FlowConfig.max_prefix is {self.max_prefix}, but a chunk has {self.horizon} actions; it must be less"
+                f"FlowConfig.max_delay is {self.max_delay}, but a chunk has {self.horizon} actions; it must be less"
             )
 
 
@@ -75,7 +75,7 @@ class ChunkPolicy:
     network: FlowNetwork
     space: ActionSpace
     num_steps: int  # K
-    max_prefix: int = 0  # longest prefix that it was trained with
+    max_delay: int = 0  # longest prefix that it was trained with
 
     @property
     def horizon(self) -> int:
@@ -126,7 +126,7 @@ def make_chunk_policy(config: FlowConfig, env: Environment) -> ChunkPolicy:
         token_width=config.token_width,
         num_layers=config.num_layers,
     )
-    return ChunkPolicy(network, space, config.integration_steps, config.max_prefix)
+    return ChunkPolicy(network, space, config.integration_steps, config.max_delay)
 
 
 def bound_dimensions(env: Environment, bound_heads: Array | None, num_worlds: int) -> Array:
@@ -174,12 +174,12 @@ def save_chunk_policy(
     All of them are kept: bidirectional decoding compares a policy with an earlier one. Raises as `save_checkpoint`."""
     arrays = {f"{PARAMS_PREFIX}/{name}": array for name, array in flatten_arrays(params).items()}
     content = {"flow": to_dict(config), "env": to_dict(env), "notes": dict(notes)}
-    return save_checkpoint(directory, num_updates, arrays, {DESCRIPTION: content}, keep=1 << 30)
+    return save_checkpoint(directory, num_updates, arrays, {CHUNK_POLICY: content}, keep=1 << 30)
 
 
 def is_chunk_policy(description: Mapping[str, Any]) -> bool:
     """Description of a checkpoint that holds one."""
-    return DESCRIPTION in description
+    return CHUNK_POLICY in description
 
 
 def load_chunk_policy(path: Path) -> TrainedChunks:
@@ -192,7 +192,7 @@ def load_chunk_policy(path: Path) -> TrainedChunks:
         checkpoint = load_checkpoint(path)
     if not is_chunk_policy(checkpoint.description):
         raise CheckpointError(f"{checkpoint.path} is no policy of action chunks")
-    content = checkpoint.description[DESCRIPTION]
+    content = checkpoint.description[CHUNK_POLICY]
     return TrainedChunks(
         path=checkpoint.path,
         config=build(FlowConfig, content["flow"]),

@@ -130,11 +130,11 @@ def _many_steps(
 def _loss(policy: ChunkPolicy, env: Environment, params: Any, samples: Samples, rows: Array, key: Array) -> Array:
     """Flow loss of windows that begin with rows [B]. The key is consumed."""
     obs, bound = observations(env, samples, rows)
-    chunk = windows(samples.actions, samples.left, rows, policy.horizon)
+    chunk = windows(samples, rows, policy.horizon)
     actions = chunk.actions * bound[:, None]
-    drawn = draw(key, actions.shape, policy.max_prefix)
+    drawn = draw(key, actions.shape, policy.max_delay)
     drawn = drawn._replace(noise=drawn.noise * bound[:, None])
-    weight = chunk.is_action[..., None] * bound[:, None].astype(jnp.float32)
+    weight = chunk.counts[..., None] * bound[:, None].astype(jnp.float32)
     return flow_loss(policy.flow(params, obs, bound), actions, drawn, weight)
 
 

@@ -1,11 +1,11 @@
 """Solve rates over delays: policies x methods x delays, on levels, as records.
 
     contender_at(path)      a chunk policy or a policy of single actions, by its checkpoint
-    measured(...)           rates of one of them by one method at one delay
+    played(...)             episodes of one of them by one method at one delay; record_of: their rates
 
-Rates are those of levels, and their mean: each level counts alike. Two intervals go with a mean, at 95 %: of the rate on
-these levels, where attempts are the sample, and of that on levels like these, where levels are (intervals.py). A method
-is compared with the naive one at the same delay by differences level by level.
+Rates are those of levels, and their mean: each level counts alike. Two intervals go with a mean, at 95 %: that of the
+rate on these levels, where attempts are the sample, and that on levels like these, where levels are (intervals.py). A
+method is compared with the naive one at the same delay by differences level by level.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ class Contender:
         if self.chunks is None:
             if method not in SINGLE_ACTION_METHODS:
                 return f"{self.name} gives single actions; {method} is of chunk policies"
-        elif method == TRAINING_TIME and delay > self.chunks.max_prefix:
+        elif method == TRAINING_TIME and delay > self.chunks.max_delay:
             return (
-                f"{self.name} was trained with prefixes of up to {self.chunks.max_prefix} actions; {method} at delay "
+                f"{self.name} was trained with prefixes of up to {self.chunks.max_delay} actions; {method} at delay "
                 f"{delay} takes a policy of `clone-flow --max-delay {delay}` or more"
             )
         return None
@@ -102,9 +102,7 @@ def _weak(path: Path | None, strong: TrainedChunks, env: Environment) -> Any:
         return None
     weak = load_chunk_policy(path)
     if weak.config != strong.config:
-        raise CheckpointError(
-            f"{path} has another network than {strong.path}; a weaker policy is an earlier checkpoint"
-        )
+        raise CheckpointError(f"{path} has another network than {strong.path}; give an earlier checkpoint of it")
     return weak.player(env)[1]
 
 

@@ -69,7 +69,7 @@ class Schedule:
             )
         if s < d:
             raise ValueError(
-                f"a delay of {d} steps with {s} executed would begin a chunk before the last is there; execute {d} or more"
+                f"a chunk is computed in {d} steps, but the next one would begin after {s}; execute {d} or more"
             )
 
 

@@ -1,8 +1,8 @@
 """Methods: how the next chunk is made while the one before is executed.
 
-    plain            a sample of the policy. What begins with it waits for no one (synchronous) or for the delay (naive)
-    bidirectional    of N samples the one nearest to the old plan, and, with a weaker policy, nearest to good samples and
-                     farthest from weak ones: bidirectional decoding (Liu et al. 2024, arXiv 2408.17355), with the
+    plain            a sample of the policy, whatever the old plan was: synchronous and naive execution
+    bidirectional    of N samples the one nearest to the old plan, and, with a weaker policy, nearest to good samples
+                     and farthest from weak ones: bidirectional decoding (Liu et al. 2024, arXiv 2408.17355), with the
                      weights of RTC's soft mask as in the public benchmark of RTC
     rtc              guided inpainting, see guidance.py
     training_time    the first `delay` actions are given, see flow_matching.py; the policy was trained for it
@@ -84,7 +84,7 @@ class Rtc:
 
 @dataclasses.dataclass(frozen=True)
 class TrainingTimeRtc:
-    """The prefix is given. The longest delay that training simulated is `ChunkPolicy.max_prefix`."""
+    """The prefix is given. The longest delay that training simulated is `ChunkPolicy.max_delay`."""
 
     def plan(self, policy: ChunkPolicy, params: Params, seen: Seen, old: Plan) -> Array:
         flow, noise = policy.flow(params.strong, seen.obs, seen.bound), policy.noise(seen.keys, seen.bound)

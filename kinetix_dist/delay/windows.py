@@ -1,7 +1,7 @@
 """Windows of a data set: at each step what was seen, and the chunk of actions that follow it in the same episode.
 
 A window never crosses the end of an episode: behind it the last action is repeated, so that a chunk looks like one, and
-`is_action` is False, so that it does not count.
+`counts` is False. Nor do actions count that the policy did not choose: noise, and repeats of the one before.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ class Samples(NamedTuple):
     level: Array  # [N] int32, index into static_obs
     actions: Array  # [N, A] float32, in -1..1
     left: Array  # [N] int32: steps of the episode from this one on, this one included
+    counts: Array  # [N] bool: the action is the policy's, and not what disturbed it
 
 
 class Windows(NamedTuple):
     """Chunks of B rows."""
 
     actions: Array  # [B, H, A]
-    is_action: Array  # [B, H] bool: within the episode
+    counts: Array  # [B, H] bool: within the episode, and chosen by the policy
 
 
 def steps_left(episode: np.ndarray) -> np.ndarray:
@@ -44,12 +45,11 @@ def steps_left(episode: np.ndarray) -> np.ndarray:
     return (np.repeat(ends, ends - starts) - np.arange(len(episode))).astype(np.int32)
 
 
-def windows(actions: Array, left: Array, rows: Array, horizon: int) -> Windows:
+def windows(samples: Samples, rows: Array, horizon: int) -> Windows:
     """Chunks that begin with `rows` [B]. Pure; works inside jit."""
-    ahead = jnp.arange(horizon)
-    is_action = ahead < left[rows][:, None]
-    index = rows[:, None] + jnp.minimum(ahead, left[rows][:, None] - 1)
-    return Windows(actions[index], is_action)
+    ahead, left = jnp.arange(horizon), samples.left[rows][:, None]
+    index = rows[:, None] + jnp.minimum(ahead, left - 1)
+    return Windows(samples.actions[index], (ahead < left) & samples.counts[index])
 
 
 def observations(env: Any, samples: Samples, rows: Array) -> tuple[Any, Array]:

@@ -29,7 +29,7 @@ from kinetix_dist.models.policy import PolicyConfig, make_encoder
 from kinetix_dist.setting import ConfigError
 
 ENCODER = PolicyConfig(network="flat", flat_size=32)
-FLOW = FlowConfig(horizon=4, max_prefix=2, width=32, token_width=8, num_layers=2, encoder=ENCODER)
+FLOW = FlowConfig(horizon=4, max_delay=2, width=32, token_width=8, num_layers=2, encoder=ENCODER)
 CONFIG = CloningConfig(steps=300, report_every=100, batch=64, learning_rate=3e-3, warmup_steps=20, held_out=0.2)
 ROWS_PER_EPISODE = 10
 
@@ -58,6 +58,7 @@ def samples(env: Environment) -> Samples:
         level=level,
         actions=actions,
         left=steps_left(episode),
+        counts=np.ones(rows, bool),
     )
 
 
@@ -122,7 +123,7 @@ def test_actions_and_their_units() -> None:
     ("make", "words"),
     [
         (lambda: make_chunk_policy(FLOW, Environment(EnvConfig(size="s"))), "'continuous'"),
-        (lambda: FlowConfig(horizon=4, max_prefix=4), "a chunk has 4 actions"),
+        (lambda: FlowConfig(horizon=4, max_delay=4), "a chunk has 4 actions"),
         (lambda: FlowConfig(width=33), "must be even"),
         (lambda: FlowConfig(horizon=0), "FlowConfig.horizon is 0"),
         (lambda: CloningConfig(steps=101, report_every=100), "multiple of report_every"),

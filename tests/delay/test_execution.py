@@ -104,7 +104,10 @@ def test_a_new_chunk_takes_over_after_the_delay(
     schedule = Schedule(delay=delay, execute=execute, horizon=HORIZON)
     found = play_chunks(env, policy, _Given(HORIZON), params, attempts, schedule)
     loop = Loop(env, attempts)
-    chunk_seen_at = lambda t: Sees(HORIZON).plan(None, None, Seen(loop.seen[t], None, None), None)
+
+    def chunk_seen_at(t: int) -> jax.Array:
+        return Sees(HORIZON).plan(None, None, Seen(loop.seen[t], None, None), None)
+
     for t in range(env.config.max_steps + execute):
         segment, i = divmod(t, execute)
         # The chunk that began with this segment, or, until it is there, the one before, further on.

@@ -57,7 +57,10 @@ def test_what_does_not_count_changes_no_loss() -> None:
     drawn = draw(prng.key(3), (1, 2, 2), 0)
     actions = jnp.zeros((1, 2, 2))
     other = actions.at[0, 0, 1].set(5.0).at[0, 1].set(7.0)
-    still = lambda x, time: jnp.zeros_like(x)
+
+    def still(x, time):
+        return jnp.zeros_like(x)
+
     assert flow_loss(still, actions, drawn, weight) == flow_loss(still, other, drawn, weight)
     assert flow_loss(still, actions, drawn, 0 * weight) == 0.0  # of nothing that counts
 

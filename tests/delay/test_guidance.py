@@ -39,7 +39,10 @@ def test_the_weight_of_guidance_by_hand() -> None:
 def test_a_full_mask_reproduces_the_old_chunk() -> None:
     """Of a flow that leaves noise as it is, x1 = x and J is the identity: each of K = beta steps ends at the target."""
     old = jnp.linspace(-1.0, 1.0, 8).reshape(1, 4, 2)
-    still = lambda x, time: jnp.zeros_like(x)
+
+    def still(x, time):
+        return jnp.zeros_like(x)
+
     noise = prng.normal(prng.key(0), old.shape)
     made = integrate(guided(still, old, jnp.ones((4, 1))), noise, 5)
     np.testing.assert_allclose(made, old, atol=1e-6)
@@ -52,7 +55,10 @@ def test_guidance_against_its_formula_with_a_matrix() -> None:
     """v = M x: J = I + (1 - t) M, which mixes actions, and the pull is J^T W (Y - x1)."""
     matrix = np.array([[0.3, -0.5], [0.8, 0.1]], np.float32)
     x, y, weights, t = np.array([0.4, -0.6]), np.array([-0.2, 0.9]), np.array([1.0, 0.3]), 0.3
-    velocity = lambda x, time: jnp.einsum("ij,bja->bia", matrix, x)
+
+    def velocity(x, time):
+        return jnp.einsum("ij,bja->bia", matrix, x)
+
     found = guided(velocity, jnp.asarray(y).reshape(1, 2, 1), jnp.asarray(weights)[:, None], 50.0)(
         jnp.asarray(x, jnp.float32).reshape(1, 2, 1), jnp.full((1, 2), t)
     )
@@ -64,7 +70,10 @@ def test_guidance_against_its_formula_with_a_matrix() -> None:
 
 def test_without_a_mask_guidance_changes_nothing() -> None:
     noise = prng.normal(prng.key(1), (2, 4, 3))
-    velocity = lambda x, time: 0.5 - x
+
+    def velocity(x, time):
+        return 0.5 - x
+
     np.testing.assert_allclose(
         integrate(guided(velocity, jnp.ones((2, 4, 3)), jnp.zeros((4, 1))), noise, 5),
         integrate(velocity, noise, 5),

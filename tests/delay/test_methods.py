@@ -106,7 +106,10 @@ def test_backward_loss_by_hand() -> None:
 
 def test_forward_loss_by_hand() -> None:
     """One world, chunks of one action: sample 1.0, good ones 0.5 and 2.0, bad ones -1.0 and 3.0."""
-    one = lambda *values: jnp.array(values)[:, None, None, None]
+
+    def one(*values):
+        return jnp.array(values)[:, None, None, None]
+
     assert float(forward_loss(one(1.0), one(0.5, 2.0), one(-1.0, 3.0))[0, 0]) == pytest.approx((0.5 + 1) - (2 + 2))
 
 
