@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ from PIL import Image
 
 from kinetix_dist import prng
 from kinetix_dist.benchmarks.delay_curve import delays_of
+from kinetix_dist.checkpoint import flatten_arrays, save_alone
 from kinetix_dist.cli.main import main
+from kinetix_dist.config import to_dict
 from kinetix_dist.data.collect import Collection, collect
 from kinetix_dist.delay.chunk_policy import FlowConfig, init_params, make_chunk_policy, save_chunk_policy
 from kinetix_dist.delay.curve import with_differences
@@ -21,9 +24,12 @@ from kinetix_dist.delay.demonstrations import open_demonstrations, samples_of
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.intervals import interval_of_mean, wilson_interval
+from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.level.sets import files_of_set, load_level_set
-from kinetix_dist.models.policy import PolicyConfig
+from kinetix_dist.models.policy import PolicyConfig, make_policy
+from kinetix_dist.models.policy import init_params as init_single
+from kinetix_dist.recipes import recipe
 
 FLOW = FlowConfig(
     horizon=4,
@@ -89,6 +95,21 @@ def flow(env: Environment, levels: Path, tmp_path_factory: pytest.TempPathFactor
     return run
 
 
+@pytest.fixture(scope="module")
+def single(env: Environment, levels: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkpoint of a policy of single actions that has learned nothing."""
+    base = recipe("tiny")
+    network = dataclasses.replace(base.policy, network="flat", flat_size=8)
+    config = dataclasses.replace(base, env=env.config, policy=network)
+    prepared = env.prepare(load_level_set(str(levels), "s")[0])
+    policy = make_policy(network, env.action_distribution.head_sizes)
+    params = init_single(policy, env.observe(prepared, prepared.initial_obs), prng.key(0))
+    arrays = {f"{PARAMS_PREFIX}/{name}": array for name, array in flatten_arrays(params).items()}
+    path = tmp_path_factory.mktemp("single") / "policy"
+    save_alone(path, 1, arrays, {"config": to_dict(config)})
+    return path
+
+
 def bench(flow: Path, levels: Path, *options: str) -> int:
     return main(["bench", "delay", "--policy", str(flow), "--levels", str(levels), "--episodes", "3", *options])
 
@@ -124,15 +145,15 @@ def test_a_curve_has_records_a_table_and_a_picture(
 
 
 def test_a_policy_of_single_actions_is_played_by_what_it_can(
-    levels: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    single: Path, levels: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "delay.json"
     options = ["--levels", str(levels / "kick.json"), "--delays", "0", "3", "--episodes", "2", "--json", str(file)]
-    assert main(["bench", "delay", "--policy", "generalist", "--methods", "naive", "rtc", *options]) == 0
+    assert main(["bench", "delay", "--policy", str(single), "--methods", "naive", "rtc", *options]) == 0
     records = json.loads(file.read_text())
     assert [(record["method"], record["delay"]) for record in records] == [("naive", 0), ("naive", 3)]
     assert records[0]["over_levels"] is None  # one level says nothing of others
-    assert "generalist gives single actions; rtc is of chunk policies" in capsys.readouterr().out
+    assert "policy gives single actions; rtc is of chunk policies" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
