@@ -9,6 +9,7 @@ from collections.abc import Callable
 from kinetix_dist.config import (
     ConfigError,
     EvaluationConfig,
+    ImitationConfig,
     RecordingConfig,
     RolloutConfig,
     RunConfig,
@@ -257,6 +258,20 @@ def _pretrain(size: str) -> TrainConfig:
     )
 
 
+def _clone(size: str) -> TrainConfig:
+    """Behaviour cloning of a data set (--data DIR), with the network of `pretrain_m` and its like. No PPO: that follows
+    where run.total_env_steps is set, with the settings of that recipe."""
+    base = _pretrain(size)
+    return dataclasses.replace(
+        base,
+        imitation=ImitationConfig(data="data", batch_size=1024, learning_rate=1e-3),
+        recording=RecordingConfig(num_rollouts=0),
+        run=RunConfig(
+            name=f"clone_{size}", imitation_steps=10_000, placement="local", checkpoint_every=25, num_curators=0
+        ),
+    )
+
+
 def pretrain_all() -> TrainConfig:
     """Levels of M first, then of all sizes at once, as `pretrain_l` otherwise: what is learned on M is learned faster
     and helps on L. Arrays are those of L from the beginning. Neither the step nor the weights have been tuned."""
@@ -276,6 +291,7 @@ RECIPES: dict[str, Callable[[], TrainConfig]] = {
     **{f"{name}_{size}": functools.partial(_paper, name, size) for name in _CURRICULA for size in "sml"},
     **{f"pretrain_{size}": functools.partial(_pretrain, size) for size in "sml"},
     "pretrain_all": pretrain_all,
+    **{f"clone_{size}": functools.partial(_clone, size) for size in "sml"},
     "tiny": tiny,
 }
 

@@ -1,12 +1,12 @@
-"""`kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--from CKPT] [--section.field value ...]`: pretrain a
-policy.
+"""`kinetix-dist train [--recipe NAME] [--run DIR] [--resume] [--from CKPT] [--data DIR] [--section.field value ...]`:
+pretrain a policy.
 
 Without --run the directory is runs/NAME, or the next free runs/NAME-2, ...; with --resume the newest of these. --recipe
 takes the directory of a run, too: a new run begins with the configuration of that one. Every field of the configuration
 is an option; `--help` lists everyday ones with the values of the recipe, `--help SECTION` those of a section.
 `--env.preset NAME` replaces all solver settings (env.physics) by those of a preset, `--curriculum.generator NAME` all
 parameters of random levels, before single fields are overridden. `--phases FILE` replaces the phases of the recipe
-after that, and `--from CKPT` is short for --run.start_from.
+after that; `--from CKPT` is short for --run.start_from, `--data DIR` for --imitation.data.
 """
 
 from __future__ import annotations
@@ -62,6 +62,7 @@ def parse(
     own.add_argument("--run", type=Path)
     own.add_argument("--resume", action="store_true")
     own.add_argument("--from", dest="start_from")
+    own.add_argument("--data")
     own.add_argument("--phases", type=Path)
     own.add_argument("--env.preset", dest="preset")
     own.add_argument("--curriculum.generator", dest="generator")
@@ -89,6 +90,7 @@ def parse(
                 "  --run DIR       directory of the run (default runs/NAME, numbered if there is one)",
                 "  --resume        go on with the run in --run, or with the newest run of the recipe",
                 "  --from CKPT     start from the parameters of a checkpoint, or of a pretrained policy by name",
+                "  --data DIR      imitate a data set of `kinetix-dist collect` first (docs/data.md)",
                 "  --phases FILE   TOML or JSON: from a step on, other settings (docs/training.md, Phases)",
                 *_listed("--env.preset NAME", f"all of env.physics at once: {', '.join(PRESETS)}"),
                 *_listed(
@@ -132,6 +134,12 @@ def parse(
         path = Path(known.start_from)  # from which directory the command was given is forgotten
         start_from = str(path.resolve()) if path.exists() else known.start_from
         base = dataclasses.replace(base, run=dataclasses.replace(base.run, start_from=start_from))
+    if known.data is not None:
+        if not known.data:
+            raise UserError("--data is empty; name the directory of a data set, or leave it out")
+        with user_errors(ValueError):
+            imitation = dataclasses.replace(base.imitation, data=str(Path(known.data).resolve()))
+            base = dataclasses.replace(base, imitation=imitation)
     phases = None
     if known.phases is not None:
         if single := [word for word in overrides if word.startswith(PREFIX)]:
@@ -190,6 +198,7 @@ def run_in(args: Args) -> tuple[int, Path | None]:
 def _run(args: Args, stop: StopSignals) -> Path:
     from kinetix_dist.checkpoint import CheckpointError
     from kinetix_dist.cli.checks import start_computing
+    from kinetix_dist.data import DatasetError
     from kinetix_dist.env.device_memory import DeviceMemoryError
     from kinetix_dist.env.env_config import describe
     from kinetix_dist.models.kernels.support import KernelError
@@ -225,7 +234,7 @@ def _run(args: Args, stop: StopSignals) -> Path:
         with user_errors(PlacementError):
             check_devices(config)
         with user_errors(ValueError, OSError):
-            _check_levels(config)  # reading levels computes
+            _check_inputs(config, is_new=not args.resume)  # reading levels computes
         if not args.resume:
             with user_errors(CheckpointError, ValueError, OSError):
                 differs = starting_point(config).differs
@@ -242,7 +251,13 @@ def _run(args: Args, stop: StopSignals) -> Path:
             )
         print(f"watch it   kinetix-dist dashboard {shlex.quote(str(directory.path))}", flush=True)
         with user_errors(
-            CheckpointError, DeviceMemoryError, KernelError, PlacementError, PortTakenError, FileNotFoundError
+            CheckpointError,
+            DatasetError,
+            DeviceMemoryError,
+            KernelError,
+            PlacementError,
+            PortTakenError,
+            FileNotFoundError,
         ):
             report = train(config, directory, resume=args.resume, stop=stop, fork_server=fork_server)
         _print_report(report, directory.path, config.run)
@@ -319,13 +334,17 @@ def _stored_config(path: Path) -> TrainConfig:
             ) from None
 
 
-def _check_levels(config: TrainConfig) -> None:
-    """Loads the level files of training and evaluation, so that a wrong name or file is found at once. Sets that are
-    drawn need their size alone to be right, and drawing them takes seconds."""
+def _check_inputs(config: TrainConfig, *, is_new: bool) -> None:
+    """Opens the data set that a new run imitates, and loads the level files of training and evaluation, so that a wrong
+    name or file is found at once. Sets that are drawn need their size alone to be right, and drawing them takes
+    seconds."""
+    from kinetix_dist.data import open_dataset
     from kinetix_dist.evaluation.evaluation_sets import check_evaluation_sets
     from kinetix_dist.level.level import SIZES
     from kinetix_dist.level.sets import load_level_set, size_of_drawn_set
 
+    if config.imitation.data and is_new:
+        open_dataset(config.imitation.data).check_env(config.env)
     check_evaluation_sets(config.evaluation.sets, config.env.size, config.policy.network)
     for phase in config.schedule.phases:
         order, name, own = list(SIZES), phase.config.curriculum.levels, phase.config.env.size

@@ -12,7 +12,14 @@ stored.py           configs of runs and checkpoints, with today's names
 
 from kinetix_dist.config.phases import PhaseConfig, read_phases
 from kinetix_dist.config.plain import build, check_finite, differing, flat, to_dict
-from kinetix_dist.config.sections import EvaluationConfig, LimitsConfig, RecordingConfig, RolloutConfig, RunConfig
+from kinetix_dist.config.sections import (
+    EvaluationConfig,
+    ImitationConfig,
+    LimitsConfig,
+    RecordingConfig,
+    RolloutConfig,
+    RunConfig,
+)
 from kinetix_dist.config.stored import from_dict, from_dict_for_playing, has_same_numbers, with_phases
 from kinetix_dist.config.train_config import StoredConfig, TrainConfig, differences, numbers_of
 from kinetix_dist.setting import ConfigError
@@ -20,6 +27,7 @@ from kinetix_dist.setting import ConfigError
 __all__ = [
     "ConfigError",
     "EvaluationConfig",
+    "ImitationConfig",
     "LimitsConfig",
     "PhaseConfig",
     "RecordingConfig",

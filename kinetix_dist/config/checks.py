@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from kinetix_dist.config.sections import EvaluationConfig, RolloutConfig, RunConfig
+from kinetix_dist.config.sections import EvaluationConfig, ImitationConfig, RolloutConfig, RunConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.action_spaces import ACTION_SPACES
@@ -172,21 +172,30 @@ def check_generator(env: EnvConfig, curriculum: CurriculumConfig) -> None:
             )
 
 
-def check_imitation(env: EnvConfig, policy: PolicyConfig, curriculum: CurriculumConfig, run: RunConfig) -> None:
-    """Proofs of the levels of the run can be imitated by its policy."""
+def check_imitation(
+    env: EnvConfig, policy: PolicyConfig, curriculum: CurriculumConfig, imitation: ImitationConfig, run: RunConfig
+) -> None:
+    """Proofs of the levels of the run, or a data set, can be imitated by its policy."""
     if not run.imitation_steps:
+        if imitation.data:
+            raise ConfigError(
+                f"imitation.data is {imitation.data!r}, but run.imitation_steps is 0: nothing would be learned "
+                "from it; set that to a number of gradient steps"
+            )
         return
-    needed = {
-        "run.placement": (run.placement, "local"),
-        "curriculum.name": (curriculum.name, "fixed"),
-        "env.action_space": (env.action_space, "multi_discrete"),
-        "policy.recurrent": (policy.recurrent, "none"),
-    }
+    needed = {"run.placement": (run.placement, "local"), "policy.recurrent": (policy.recurrent, "none")}
+    if not imitation.data:
+        needed["curriculum.name"] = curriculum.name, "fixed"
+    if not imitation.data or imitation.class_balance:
+        needed["env.action_space"] = env.action_space, "multi_discrete"
     for name, (value, expected) in needed.items():
         if value != expected:
+            what = "" if imitation.data else " without imitation.data"
+            if name == "env.action_space" and imitation.data:
+                what = f" with imitation.class_balance {imitation.class_balance:g}"
             raise ConfigError(
-                f"run.imitation_steps is {run.imitation_steps}, which needs {name} {expected!r}, not {value!r}; set "
-                "it to that, or imitation_steps to 0"
+                f"run.imitation_steps is {run.imitation_steps}, which{what} needs {name} {expected!r}, not {value!r}; "
+                "set it to that, or imitation_steps to 0"
             )
 
 

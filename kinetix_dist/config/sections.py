@@ -100,6 +100,27 @@ class RecordingConfig:
         check_settings(self)
 
 
+EPISODES = ("all", "solved")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ImitationConfig:
+    """Imitation before the first update, `run.imitation_steps` gradient steps of it: of proofs or of a data set."""
+
+    data: str = ""  # data set that is imitated; "": the proofs of curriculum.levels
+    episodes: str = setting("all", choices=EPISODES)  # of a data set, or "solved" ones alone
+    batch_size: int = setting(128, minimum=1)  # samples of a gradient step
+    learning_rate: float = setting(5e-4, above=0)  # at first; it falls to 0 linearly
+    class_balance: float = setting(0.0, minimum=0, maximum=1)  # 1: rare choices of an action weigh as much as common
+    held_out: float = setting(0.1, minimum=0, below=1)  # share of the levels of a data set by which it stops early
+    every: int = setting(250, minimum=1)  # gradient steps between evaluations on them
+    patience: int = setting(8, minimum=1)  # evaluations without a lower loss, after which it stops
+    skip_damaged: bool = False  # leave out shards of a data set that are damaged or missing, and count them
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LimitsConfig:
     """Seconds that sections of a run may take, before processes that have not answered are taken for lost."""
@@ -126,7 +147,7 @@ class RunConfig:
     seed: int = setting(0, minimum=0, maximum=LAST_SEED)
     start_from: str = ""  # checkpoint or pretrained policy whose parameters training starts from; "": from the seed
     start_optimizer: bool = False  # take the state of its optimiser, too
-    imitation_steps: int = setting(0, minimum=0)  # gradient steps on the proofs of curriculum.levels before training
+    imitation_steps: int = setting(0, minimum=0)  # gradient steps of imitation before training, see `imitation`
     start_other_engine: bool = False  # also where it learned with other settings of the engine than this run
     total_env_steps: int = setting(0, minimum=0)  # after which training ends; 0: no such end
     max_seconds: float = setting(0.0, minimum=0)  # of training time, after which it ends; 0: no such end
@@ -171,7 +192,7 @@ class RunConfig:
             raise ConfigError(
                 "RunConfig.start_optimizer is True, but start_from names no checkpoint; give one (--from), or leave it"
             )
-        if not self.total_env_steps and not self.max_seconds:
+        if not self.total_env_steps and not self.max_seconds and not self.imitation_steps:
             raise ConfigError("RunConfig has neither total_env_steps nor max_seconds; give one, or the run never ends")
 
     @property

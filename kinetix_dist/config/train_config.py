@@ -18,7 +18,13 @@ from kinetix_dist.config import checks
 from kinetix_dist.config.phases import UNCHANGED, PhaseConfig, Schedule, numbers_of_phases
 from kinetix_dist.config.plain import check_finite, flat, in_words, to_dict
 from kinetix_dist.config.refresh_times import RefreshTimes, refresh_times
-from kinetix_dist.config.sections import EvaluationConfig, RecordingConfig, RolloutConfig, RunConfig
+from kinetix_dist.config.sections import (
+    EvaluationConfig,
+    ImitationConfig,
+    RecordingConfig,
+    RolloutConfig,
+    RunConfig,
+)
 from kinetix_dist.curator.config import OWN_SECTIONS, CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import Curriculum
@@ -38,6 +44,7 @@ class TrainConfig:
     ppo: PpoConfig = dataclasses.field(default_factory=PpoConfig)
     curriculum: CurriculumConfig = dataclasses.field(default_factory=CurriculumConfig)
     rollout: RolloutConfig = dataclasses.field(default_factory=RolloutConfig)
+    imitation: ImitationConfig = dataclasses.field(default_factory=ImitationConfig)
     evaluation: EvaluationConfig = dataclasses.field(default_factory=EvaluationConfig)
     recording: RecordingConfig = dataclasses.field(default_factory=RecordingConfig)
     curriculum_log: CurriculumLogConfig = dataclasses.field(default_factory=CurriculumLogConfig)
@@ -57,7 +64,7 @@ class TrainConfig:
         checks.check_curators(run, curriculum, self.curriculum_class)
         checks.check_rollout_actors(run, rollout)
         checks.check_stop(run, self.evaluation)
-        checks.check_imitation(self.env, self.policy, self.curriculum, run)
+        checks.check_imitation(self.env, self.policy, self.curriculum, self.imitation, run)
         if self.phases:
             self.check_batch()
             _ = self.refresh_times  # raises for phases that cannot run
@@ -185,6 +192,8 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     run |= {"start_from": config.run.start_from, "start_optimizer": config.run.start_optimizer}
     if config.run.imitation_steps:
         run["imitation_steps"] = config.run.imitation_steps
+        if config.imitation != ImitationConfig():  # which came later
+            run["imitation"] = to_dict(config.imitation)
     return counted | {"run": run}
 
 

@@ -16,14 +16,15 @@ import pytest
 from jax2d.scene import index_worlds
 from kinetix_dist import prng
 from kinetix_dist.cli.main import main
-from kinetix_dist.config import ConfigError, TrainConfig
+from kinetix_dist.config import ConfigError, ImitationConfig, TrainConfig
 from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.proof import proof_path, read_proof, write_proof
 from kinetix_dist.level.structure import LevelFormatError
 from kinetix_dist.models.policy import init_params, make_policy
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime import make_environment
-from kinetix_dist.runtime.cores.imitation import WORLDS, imitate, levels_and_proofs, samples_of
+from kinetix_dist.runtime.cores.imitation import Imitated, imitate, one_pool
+from kinetix_dist.runtime.cores.proof_samples import WORLDS, levels_and_proofs, samples_of_proofs
 
 LEVEL = levels_root() / "s" / "hop_home.json"
 STEPS = 50
@@ -51,7 +52,7 @@ def config_of(level: Path, **run: object) -> TrainConfig:
 def test_samples_are_the_steps_of_the_proof_from_starts_that_it_solves(level: Path) -> None:
     config = config_of(level)
     proof = read_proof(proof_path(level))
-    samples = samples_of(config, make_environment(config))
+    samples = samples_of_proofs(config, make_environment(config))
     num_samples = len(samples.actions)
     assert num_samples >= WORLDS // 2 * proof.num_steps  # all worlds that begin as the level does, at least
     assert {tuple(action) for action in samples.actions} == {tuple(action) for action in proof.actions}
@@ -63,7 +64,7 @@ def test_samples_are_the_steps_of_the_proof_from_starts_that_it_solves(level: Pa
 def test_the_policy_becomes_likely_to_act_as_the_proof_does(level: Path) -> None:
     config = config_of(level)
     env = make_environment(config)
-    samples = samples_of(config, env)
+    samples = samples_of_proofs(config, env)
     policy = make_policy(config.policy, env.action_distribution.head_sizes)
     static, bound, obs = jax.tree.map(
         jnp.asarray, (index_worlds(samples.static_obs, samples.level), samples.bound_heads[samples.level], samples)
@@ -76,9 +77,13 @@ def test_the_policy_becomes_likely_to_act_as_the_proof_does(level: Path) -> None
         of_actions, _ = env.action_distribution.log_prob_and_entropy(outputs, jnp.asarray(samples.actions), bound=bound)
         return float(of_actions.mean())
 
-    after, loss = imitate(env, policy, params, samples, steps=STEPS, seed=0)
+    def imitated() -> Imitated:
+        return imitate(env, policy, params, one_pool(samples), ImitationConfig(), steps=STEPS, seed=0)
+
+    after, steps, loss, curve = imitated()
+    assert steps == STEPS and not curve  # nothing is held out
     assert log_prob(after) > log_prob(params) + 0.003, (log_prob(params), log_prob(after))  # few steps, from scratch
-    again, same = imitate(env, policy, params, samples, steps=STEPS, seed=0)
+    again, _, same, _ = imitated()
     assert same == loss and jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), after, again))
 
 
@@ -123,7 +128,7 @@ def test_a_proof_that_does_not_solve_its_level_is_refused(level: Path) -> None:
     write_proof(proof_path(level), dataclasses.replace(proof, actions=np.zeros_like(proof.actions)))
     config = config_of(level)
     with pytest.raises(ValueError, match="its proof does not solve it; find it again: `levels solve --again`"):
-        samples_of(config, make_environment(config))
+        samples_of_proofs(config, make_environment(config))
 
 
 @pytest.mark.parametrize(

@@ -1,19 +1,21 @@
-"""Imitation of proofs before training: behaviour cloning (Pomerleau 1991) of the actions that solve each level.
+"""Imitation before training: behaviour cloning (Pomerleau 1991) of samples, whatever they come from.
 
-    proofs of curriculum.levels --replay from its start and from slightly different ones--> observations, actions
+    proofs of curriculum.levels (`proof_samples.py`) --+
+                                                       +--> samples: observations, actions, returns
+    transitions of a data set (`dataset_samples.py`) --+
+
     loss = -mean log p(action | observation) + c / 2 mean (value - return)^2, linearly decaying Adam
                                                                              --> parameters that training goes on from
 
-A search plays a thousand times as many steps a second as a network learns from, so it finds a solution where a policy
-never does, and some thousand samples of that solution teach what a policy would need a first success for.
+Samples of levels that are held out say when to stop: where their loss has not fallen for `imitation.patience`
+evaluations, or at the end, the parameters are those at which it was lowest.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -21,149 +23,182 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jax2d.scene import Array, stack_worlds
+from jax2d.scene import Array
 from kinetix_dist import prng
-from kinetix_dist.config import TrainConfig
-from kinetix_dist.env.env_config import describe
+from kinetix_dist.config import ImitationConfig
+from kinetix_dist.env.action_spaces import ActionSpace
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.env.records import PreparedLevels
-from kinetix_dist.evaluation.search.worlds import START_NOISE_M_S
-from kinetix_dist.level.fit import fit_level
-from kinetix_dist.level.level import Level
-from kinetix_dist.level.proof import Proof, check_proof_is_of, proof_path, read_proof
-from kinetix_dist.level.sets import files_of_set, read_level
-from kinetix_dist.level.validate import read_document
 
-# That replay the proof of a level, half of them from its start, half from those by which searches measure robustness:
-# more noise moves the states at which an action changes, and blurs when it does.
-WORLDS = 64
-BATCH = 128  # samples of a gradient step
-LEARNING_RATE = 5e-4  # at first; it falls to 0 linearly, so that the last steps agree on when an action changes
 MAX_GRAD_NORM = 0.5
 VALUE_COEFFICIENT = 0.5
-IMITATION_STREAM = 0x494D4954  # "IMIT": key of noise and batches
+IMITATION_STREAM = 0x494D4954  # "IMIT": key of noise, of what is held out and of batches
+LIKE = 0.1  # of the range of a dimension: so near is a most likely action like the one that was taken
 
 
 class Samples(NamedTuple):
-    """Observations along proofs and the actions taken there, B of them."""
+    """B observations and the actions taken there."""
 
     static_obs: Any  # [L, ...] of each level
     dynamic_obs: Any  # [B, ...]
     level: Array  # [B] int32, index into static_obs
-    actions: Array  # [B, 6] int32
+    actions: Array  # [B, 6] or [B]
     returns: Array  # [B] float32, discounted, to the end of the episode
+    has_return: Array  # [B] float32, 1; 0 where that end was not seen
     bound_heads: Array  # [L, heads] bool, of each level
 
 
-def samples_of(config: TrainConfig, env: Environment) -> Samples:
-    """Samples of the proofs of `curriculum.levels`. Raises ValueError for one that does not solve its level
-    here, and as `levels_and_proofs`."""
-    parts, static, bound = [], [], []
-    rng = np.random.default_rng((config.run.seed, IMITATION_STREAM))
-    for number, (level, proof) in enumerate(levels_and_proofs(config, env)):
-        prepared = env.prepare(_starts(level, rng))
-        dynamic, actions, returns = _successful_steps(env, prepared, proof, discount=config.ppo.discount)
-        if not len(actions):
-            raise ValueError(f"{proof.level}: its proof does not solve it; find it again: `levels solve --again`")
-        static.append(jax.tree.map(lambda x: np.asarray(x)[0], prepared.static_obs))
-        bound.append(np.asarray(prepared.bound_heads)[0])
-        parts.append((dynamic, np.full(len(actions), number, np.int32), actions, returns))
-    return Samples(
-        jax.tree.map(lambda *x: np.stack(x), *static),
-        *jax.tree.map(lambda *x: np.concatenate(x), *parts),
-        bound_heads=np.stack(bound),
-    )
+class Source(NamedTuple):
+    """Samples to imitate, as many at a time as fit into memory."""
+
+    pools: Iterator[tuple[Samples, int]]  # without end: samples of one shape, and how many of the first ones count
+    steps_per_pool: int  # gradient steps until the next one; 0: there is one
+    held_out: Samples | None = None  # by which it stops early
+    about: Callable[[], dict[str, Any]] = dict  # for the event of the run
 
 
-def levels_and_proofs(config: TrainConfig, env: Environment) -> list[tuple[Level, Proof]]:
-    """Levels of `curriculum.levels` with their stored proofs. Raises ValueError or OSError, one line, where a level has
-    none, or one of another level or of other settings."""
-    return [_level_and_proof(file, env) for file in files_of_set(config.curriculum.levels)]
+class Imitated(NamedTuple):
+    """Result of `imitate`."""
+
+    params: Any
+    steps: int  # gradient steps that led to them
+    loss: float  # mean of the last tenth of the steps that were taken
+    curve: list[dict[str, float]]  # of the samples held out: step, loss, accuracy
 
 
-def _level_and_proof(file: Path, env: Environment) -> tuple[Level, Proof]:
-    level, _ = read_level(file)
-    path = proof_path(file)
-    if not path.is_file():
-        raise FileNotFoundError(f"run.imitation_steps: {file} has no proof ({path}); `levels solve` searches for one")
-    proof = read_proof(path)
-    limits = {"frame_skip": env.config.frame_skip, "max_steps": env.config.max_steps}
-    check_proof_is_of(proof, path, read_document(file), preset=describe(env.config.physics), **limits)
-    return fit_level(level, env.capacity), proof
+def one_pool(samples: Samples) -> Source:
+    """Source of so few samples that they fit into memory."""
 
+    def pools() -> Iterator[tuple[Samples, int]]:
+        while True:
+            yield samples, len(samples.actions)
 
-def _starts(level: Level, rng: np.random.Generator) -> Level:
-    """[WORLDS, ...]: the start of a level, and from the middle on with other velocities of all that moves."""
-    levels, moves = stack_worlds([level] * WORLDS), level.scene.shapes.active & (level.scene.shapes.inverse_mass > 0)
-    noise = rng.normal(0.0, START_NOISE_M_S, levels.velocity.shape) * moves[:, None]
-    noise[: WORLDS // 2] = 0.0
-    return dataclasses.replace(levels, velocity=(levels.velocity + noise).astype(np.float32))
-
-
-def _successful_steps(
-    env: Environment, prepared: PreparedLevels, proof: Proof, *, discount: float
-) -> tuple[Any, np.ndarray, np.ndarray]:
-    """(dynamic observations [B, ...], actions [B, 6], returns [B]) of worlds that the proof solves, up to the step that
-    does."""
-    actions = np.zeros((env.config.max_steps, WORLDS, proof.actions.shape[1]), np.int32)
-    actions[: proof.num_steps] = proof.actions[:, None]
-    obs, rewards, done, solved = jax.device_get(_replay(env, prepared, jnp.asarray(actions)))
-    returns = np.zeros_like(rewards)
-    for t in reversed(range(len(returns))):
-        later = returns[t + 1] if t + 1 < len(returns) else 0.0
-        returns[t] = rewards[t] + discount * np.where(done[t], 0.0, later)
-    last = np.argmax(done, axis=0)  # a time limit ends every episode
-    is_good = solved[last, np.arange(WORLDS)]
-    step, world = np.nonzero((np.arange(len(actions))[:, None] <= last) & is_good)
-    return jax.tree.map(lambda x: x[step, world], obs), actions[step, world], returns[step, world]
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _replay(env: Environment, prepared: PreparedLevels, actions: Array) -> tuple[Any, Array, Array, Array]:
-    """[T, W, ...]: what was seen before each action, its reward, and whether it ended or solved the episode."""
-
-    def step(carry: tuple[Any, Any], step_actions: Array) -> tuple[tuple[Any, Any], tuple[Any, Array, Array, Array]]:
-        env_state, obs = carry
-        env_state, next_obs, reward, done, info = env.step(prepared, env_state, step_actions)
-        return (env_state, next_obs), (obs, reward, done, info.solved)
-
-    return jax.lax.scan(step, env.reset(prepared), actions)[1]
+    return Source(pools(), steps_per_pool=0)
 
 
 def imitate(
-    env: Environment, policy: Any, params: Any, samples: Samples, *, steps: int, seed: int
-) -> tuple[Any, float]:
-    """(parameters after so many gradient steps, mean loss of the last tenth of them)."""
-    step, optimizer = _step_program(env, policy, steps)
-    samples = jax.tree.map(jnp.asarray, samples)
-    state, key, losses = optimizer.init(params), prng.fold_in(prng.key(seed), IMITATION_STREAM), []
+    env: Environment, policy: Any, params: Any, source: Source, config: ImitationConfig, *, steps: int, seed: int
+) -> Imitated:
+    """At most so many gradient steps."""
+    programs = _programs(env, policy, config.batch_size, config.learning_rate, steps)
+    samples, count = next(source.pools)
+    samples, weights = jax.tree.map(jnp.asarray, samples), class_weights(env.action_space, samples, count, config)
+    held_out = None if source.held_out is None else jax.tree.map(jnp.asarray, source.held_out)
+    state, key, losses = programs.optimizer.init(params), prng.fold_in(prng.key(seed), IMITATION_STREAM), []
+    best, curve = (np.inf, 0, params), []
     for number in range(steps):
-        params, state, loss = step(params, state, samples, prng.fold_in(key, number))
+        if source.steps_per_pool and number and number % source.steps_per_pool == 0:
+            samples, count = next(source.pools)
+            samples = jax.tree.map(jnp.asarray, samples)
+        pool = samples, jnp.int32(count), weights
+        params, state, loss = programs.step(params, state, pool, prng.fold_in(key, number))
         losses.append(loss)
-    return params, float(np.mean(jax.device_get(losses[-max(steps // 10, 1) :])))
+        if held_out is None or ((number + 1) % config.every and number + 1 < steps):
+            continue
+        loss, accuracy = programs.score(params, held_out)
+        curve.append({"step": number + 1, "loss": round(float(loss), 5), "accuracy": round(float(accuracy), 5)})
+        if float(loss) < best[0]:
+            best = float(loss), number + 1, params
+        if number + 1 - best[1] >= config.patience * config.every:
+            break
+    loss = float(np.mean(jax.device_get(losses[-max(len(losses) // 10, 1) :])))
+    _, at, params = best if curve and best[1] else (loss, len(losses), params)
+    return Imitated(params, at, loss, curve)
+
+
+def class_weights(space: ActionSpace, samples: Samples, count: int, config: ImitationConfig) -> Array | None:
+    """[dimensions, choices] float32, weight of each choice: (mean frequency / its own)^`class_balance`, 1 on average
+    over the samples of its dimension. None: all weigh the same."""
+    if not config.class_balance:
+        return None
+    bound = np.asarray(samples.bound_heads)[np.asarray(samples.level[:count])]
+    actions, num_choices = np.asarray(samples.actions[:count]), int(max(space.high)) + 1
+    weights = np.ones((space.num_dimensions, num_choices), np.float32)
+    for dimension in range(space.num_dimensions):
+        found = np.bincount(actions[bound[:, dimension], dimension], minlength=num_choices)
+        if found.any():
+            raw = np.where(found, found.sum() / np.maximum(found, 1), 0.0) ** config.class_balance
+            weights[dimension] = raw * found.sum() / (raw * found).sum()
+    return jnp.asarray(weights)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Programs:
+    step: Callable[..., Any]
+    score: Callable[..., Any]
+    optimizer: optax.GradientTransformation
 
 
 @functools.lru_cache(maxsize=2)
-def _step_program(env: Environment, policy: Any, steps: int) -> tuple[Callable[..., Any], optax.GradientTransformation]:
-    rate = optax.linear_schedule(LEARNING_RATE, 0.0, steps)
+def _programs(env: Environment, policy: Any, batch_size: int, learning_rate: float, steps: int) -> _Programs:
+    rate = optax.linear_schedule(learning_rate, 0.0, steps)
     optimizer = optax.chain(optax.clip_by_global_norm(MAX_GRAD_NORM), optax.adam(rate, eps=1e-5))
 
-    @jax.jit
-    def step(params: Any, state: Any, samples: Samples, key: Array) -> tuple[Any, Any, Array]:
-        number = samples.actions.shape[0]
-        index = jnp.minimum((prng.uniform(key, (BATCH,)) * number).astype(jnp.int32), number - 1)
+    def played(params: Any, samples: Samples, index: Array) -> tuple[Any, Array, dict[str, Array]]:
+        """Outputs and values of the policy at some samples, and which dimensions count there."""
         level = samples.level[index]
         static, bound = jax.tree.map(lambda x: x[level], (samples.static_obs, samples.bound_heads))
         obs = env.observation.join(static, jax.tree.map(lambda x: x[index], samples.dynamic_obs))
+        outputs, values = policy.apply(params, obs)
+        return outputs, values, {"bound": bound} if env.action_space.has_bound_heads else {}
+
+    @jax.jit
+    def step(params: Any, state: Any, pool: tuple[Samples, Array, Array | None], key: Array) -> tuple[Any, Any, Array]:
+        samples, count, weights = pool
+        index = jnp.minimum((prng.uniform(key, (batch_size,)) * count).astype(jnp.int32), count - 1)
 
         def loss(params: Any) -> Array:
-            outputs, values = policy.apply(params, obs)
-            log_probs, _ = env.action_distribution.log_prob_and_entropy(outputs, samples.actions[index], bound=bound)
-            errors = values - samples.returns[index]
-            return -jnp.mean(log_probs) + 0.5 * VALUE_COEFFICIENT * jnp.mean(jnp.square(errors))
+            outputs, values, bound = played(params, samples, index)
+            actions = samples.actions[index]
+            errors = jnp.square(values - samples.returns[index]) * samples.has_return[index]
+            return -jnp.mean(_log_probs(env, outputs, actions, bound, weights)) + 0.5 * VALUE_COEFFICIENT * jnp.mean(
+                errors
+            )
 
         value, gradient = jax.value_and_grad(loss)(params)
         change, state = optimizer.update(gradient, state, params)
         return optax.apply_updates(params, change), state, value
 
-    return step, optimizer
+    @jax.jit
+    def score(params: Any, samples: Samples) -> tuple[Array, Array]:
+        """(mean of -log p, share of the dimensions that count whose most likely action is like that taken)."""
+        number = samples.actions.shape[0]
+
+        def of_batch(start: Array) -> tuple[Array, Array, Array]:
+            index = start + jnp.arange(batch_size)
+            is_there = index < number
+            index = jnp.minimum(index, number - 1)
+            outputs, _, bound = played(params, samples, index)
+            actions = samples.actions[index]
+            log_probs = _log_probs(env, outputs, actions, bound, None)
+            is_like = _is_like(env, env.action_distribution.mode(outputs), actions)
+            counts = is_there[:, None] & bound.get("bound", jnp.ones_like(is_like))
+            return jnp.sum(log_probs * is_there), jnp.sum(is_like & counts), jnp.sum(counts)
+
+        sums = jax.lax.map(of_batch, jnp.arange(0, number, batch_size))
+        log_prob, num_like, num_counted = jax.tree.map(jnp.sum, sums)
+        return -log_prob / number, num_like / jnp.maximum(num_counted, 1)
+
+    return _Programs(step, score, optimizer)
+
+
+def _log_probs(env: Environment, outputs: Any, actions: Array, bound: dict[str, Array], weights: Array | None) -> Array:
+    """[B] log-probability, summed over the dimensions that count, each with the weight of its choice."""
+    distribution = env.action_distribution
+    if weights is None:
+        return distribution.log_prob_and_entropy(outputs, actions, **bound)[0]
+
+    def of_dimension(only: Array) -> Array:
+        return distribution.log_prob_and_entropy(outputs, actions, bound=bound["bound"] & only)[0]
+
+    each = jax.vmap(of_dimension)(jnp.eye(env.action_space.num_dimensions, dtype=bool))  # [dimensions, B]
+    chosen = jax.vmap(lambda of_choices, taken: of_choices[taken])(weights, actions.T.astype(jnp.int32))
+    return jnp.sum(each * chosen, axis=0)
+
+
+def _is_like(env: Environment, modes: Array, actions: Array) -> Array:
+    """[B, dimensions] bool; numbers of choices are like themselves alone."""
+    space = env.action_space
+    reach = LIKE * (np.float32(space.high) - np.float32(space.low))
+    shape = (len(actions), space.num_dimensions)
+    distance = jnp.abs(modes.astype(jnp.float32) - actions.astype(jnp.float32)).reshape(shape)
+    return distance <= jnp.where(space.is_integer, 0.0, reach)

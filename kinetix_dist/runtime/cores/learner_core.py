@@ -25,8 +25,10 @@ from kinetix_dist.learner.update import exported_update, make_update
 from kinetix_dist.models.added_layers import with_added_layers
 from kinetix_dist.models.policy import init_params
 from kinetix_dist.runtime.cores.curriculum_state import some_observation
-from kinetix_dist.runtime.cores.imitation import imitate, samples_of
+from kinetix_dist.runtime.cores.dataset_samples import checked_dataset, source_of_dataset
+from kinetix_dist.runtime.cores.imitation import Imitated, Source, imitate, one_pool
 from kinetix_dist.runtime.cores.programs import MAX_CACHED, settings_of_programs
+from kinetix_dist.runtime.cores.proof_samples import levels_and_proofs, samples_of_proofs
 from kinetix_dist.runtime.cores.run_names import INIT, LEARNER, OPTIMIZER, PARAMS, SHUFFLE, START, stream
 
 
@@ -105,17 +107,19 @@ class LearnerCore:
         clocked = at_env_steps(state, replicate(clock(env_steps), self._mesh))
         return self._update(clocked, static, trajectory, last_value)
 
-    def imitate(self, steps: int) -> float:
-        """Imitates the proofs of the levels of the run before its first update; the loss at the end."""
+    def imitate(self, steps: int) -> tuple[Imitated, dict[str, Any]]:
+        """Imitates proofs or a data set before the first update: (what came of it, without the parameters, and what
+        was imitated)."""
         assert self.state is not None, "start() comes first"
-        samples, params = samples_of(self._config, self._env), local_values(self.state.params)
-        seed = self._config.run.seed
-        params, loss = imitate(self._env, self._policy, params, samples, steps=steps, seed=seed)
+        config, params = self._config, local_values(self.state.params)
+        source = imitated_source(config, self._env)
+        imitated = imitate(self._env, self._policy, params, source, config.imitation, steps=steps, seed=config.run.seed)
+        params = local_values(imitated.params)
         average = None if self.state.average is None else params
         self.state = replicate(
-            dataclasses.replace(local_values(self.state), params=local_values(params), average=average), self._mesh
+            dataclasses.replace(local_values(self.state), params=params, average=average), self._mesh
         )
-        return loss
+        return imitated._replace(params=None), source.about()
 
     @functools.cached_property
     def _measure(self) -> Measure:
@@ -124,6 +128,19 @@ class LearnerCore:
     def compile(self, static: Any, trajectory: Any, last_value: Any) -> None:
         """Compiles `learn` for arrays like these, of which shapes and shardings are enough."""
         self._update.lower(self.shapes, static, trajectory, last_value).compile()
+
+
+def check_imitated(config: TrainConfig, env: Environment) -> None:
+    """Raises ValueError or OSError, one line, where a run cannot imitate what it is to; looks at no sample yet."""
+    if config.imitation.data:
+        checked_dataset(config)
+    else:
+        levels_and_proofs(config, env)
+
+
+def imitated_source(config: TrainConfig, env: Environment) -> Source:
+    """Samples that a run imitates. Raises as `check_imitated`."""
+    return source_of_dataset(config) if config.imitation.data else one_pool(samples_of_proofs(config, env))
 
 
 @functools.lru_cache(maxsize=MAX_CACHED)

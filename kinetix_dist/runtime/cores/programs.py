@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from kinetix_dist.config import EvaluationConfig, RecordingConfig, RunConfig, TrainConfig
+from kinetix_dist.config import EvaluationConfig, ImitationConfig, RecordingConfig, RunConfig, TrainConfig
 from kinetix_dist.learner.plasticity import PlasticityConfig
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
@@ -30,6 +30,7 @@ def settings_of_programs(config: TrainConfig) -> TrainConfig:
         config,
         curriculum_log=CurriculumLogConfig(),
         evaluation=EvaluationConfig(),
+        imitation=ImitationConfig(),
         plasticity=PlasticityConfig(),
         recording=RecordingConfig(),
         run=RunConfig(seed=config.run.seed, total_env_steps=1),

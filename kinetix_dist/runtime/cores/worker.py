@@ -21,8 +21,8 @@ from kinetix_dist.runtime.cores import programs
 from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.curriculum_state import CurriculumState
 from kinetix_dist.runtime.cores.evaluator import Evaluator
-from kinetix_dist.runtime.cores.imitation import levels_and_proofs
-from kinetix_dist.runtime.cores.learner_core import LearnerCore
+from kinetix_dist.runtime.cores.imitation import Imitated
+from kinetix_dist.runtime.cores.learner_core import LearnerCore, check_imitated
 from kinetix_dist.runtime.cores.ongoing_worlds import OngoingWorlds, begun, restored, stored
 from kinetix_dist.runtime.cores.playing import Playing, check_memory
 from kinetix_dist.runtime.cores.rollout_core import RolloutCore
@@ -45,13 +45,14 @@ class LearnerWorker:
         self._learner = LearnerCore(config, env, policy, mesh)
         self._evaluator = Evaluator(config, env, policy)
         self._playing.curriculum(config)  # a level set that cannot be loaded is found before the start
-        if config.run.imitation_steps:
-            levels_and_proofs(config, env)  # likewise
         self._states: dict[int, CurriculumState] = {}  # by `Phase.curriculum_since`: in use, and the next one
         self._staging = Staging(config, mesh, self._learner.division)
 
     def start(self, arrays: Mapping[str, np.ndarray] | None) -> None:
         """Starts from a checkpoint's arrays, or afresh."""
+        is_new = not select_arrays(arrays or {}, LEARNER)
+        if is_new and self._config.run.imitation_steps:
+            check_imitated(self._config, self._playing.environment(self._config))  # before anything slow
         self._learner.start(arrays)
         self._states = {}
         self._begin_state(self._learner.num_updates, arrays)
@@ -119,7 +120,7 @@ class LearnerWorker:
         values = None if state is None else state.values  # None: the next update begins another
         return flatten_arrays({LEARNER: local_values(self._learner.state), CURRICULUM: values})
 
-    def imitate(self, steps: int) -> float:
+    def imitate(self, steps: int) -> tuple[Imitated, dict[str, Any]]:
         """See `LearnerCore.imitate`."""
         return self._learner.imitate(steps)
 

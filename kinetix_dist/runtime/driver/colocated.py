@@ -13,6 +13,7 @@ import numpy as np
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_worker
+from kinetix_dist.runtime.cores.imitation import Imitated
 from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.processes.backend import Backend, Future, Handle
 from kinetix_dist.runtime.processes.placement import Placement, ProcessPlan
@@ -88,7 +89,7 @@ class ColocatedTrainer:
         slowest = {role: max(seconds[role] for _, seconds, _ in answers) for role in answers[0][1]}
         return metrics | {"runtime/policy_lag": 0.0, "runtime/policy_lag_max": 0.0}, slowest, attempts
 
-    def imitate(self, steps: int) -> float:
+    def imitate(self, steps: int) -> tuple[Imitated, dict[str, Any]]:
         return self._first("imitate", steps)
 
     def check(self) -> None:

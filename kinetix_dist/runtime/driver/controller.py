@@ -108,6 +108,7 @@ class Controller:
         self._warmup_before = 0.0  # s of it, see `warmup_seconds`
         self._warmup: float | None = None  # s of this session; None: its first update is not done
         self.training_seconds_at_end = 0.0
+        self._is_restored = False  # from a checkpoint of this run
         self._is_good = False  # the last evaluation during training reached `run.stop_at`
         self.backend = roles.trainer.backend
         self._on_rollouts = on_rollouts
@@ -137,6 +138,7 @@ class Controller:
         if drafts := remove_dead_drafts(self.run.checkpoints):
             self.run.event("drafts_removed", drafts=drafts)
         checkpoint = newest_checkpoint(self.run, self.config, self.reporter) if resume else None
+        self._is_restored = checkpoint is not None
         if checkpoint is not None:
             self.seconds_before = checkpoint.description["training_seconds"]
             self._warmup_before = checkpoint.description.get("warmup_seconds", 0.0)  # earlier versions did not count it
@@ -155,7 +157,7 @@ class Controller:
         Raises StoppedError at the end of an update in which a stop was requested, after a checkpoint is saved, and
         NotFiniteError where nothing can be learned.
         """
-        if self.config.run.imitation_steps and self.num_updates == 0:
+        if self.config.run.imitation_steps and not self._is_restored:
             self._imitate(self.config.run.imitation_steps)
         if not self._is_over():
             self.reporter.phase("compiling")
@@ -315,7 +317,8 @@ class Controller:
         )
 
     def _imitate(self, steps: int) -> None:
-        """Imitates the proofs of the levels, and evaluates what came of it: that may be good enough to end the run.
+        """Imitates proofs or a data set, and evaluates and saves what came of it: that may be good enough to end the
+        run.
 
         Not training time: it depends on `run.imitation_steps` alone. A run that is resumed before its first checkpoint
         does it again, to the same bits.
@@ -324,11 +327,16 @@ class Controller:
         self.reporter.phase("imitating")
         began = time.monotonic()
         with self._section("update"):
-            loss = self.trainer.imitate(steps)
-        self.run.event("imitated", steps=steps, seconds=round(time.monotonic() - began, 3), loss=round(loss, 4))
+            imitated, about = self.trainer.imitate(steps)
+        seconds = round(time.monotonic() - began, 3)
+        fields = {"steps": imitated.steps, "seconds": seconds, "loss": round(imitated.loss, 4), **about}
+        self.run.event("imitated", **fields, curve=imitated.curve)
+        self.reporter.note(_in_words(fields, imitated.curve))
         began = time.monotonic()
         rates = self._evaluate(use_policy=True)
         self._report_evaluation(Evaluated(update=0, rates=rates, seconds=time.monotonic() - began))
+        if not self._is_over():  # what follows may be killed
+            self._save()
 
     def _report_evaluation(self, evaluated: Evaluated) -> None:
         update, rates = evaluated.update, evaluated.rates
@@ -538,3 +546,11 @@ class Controller:
 
 def _is_due(every: int, num_updates: int) -> bool:
     return every > 0 and num_updates % every == 0
+
+
+def _in_words(imitated: Mapping[str, Any], curve: Sequence[Mapping[str, float]]) -> str:
+    text = f"imitated: {imitated['steps']:,} gradient steps, {imitated['seconds']:.0f} s, loss {imitated['loss']:.3f}"
+    best = min(curve, key=lambda point: point["loss"], default=None)
+    if best is None:
+        return text
+    return f"{text}; on levels held out loss {best['loss']:.3f}, {best['accuracy']:.1%} of actions alike"

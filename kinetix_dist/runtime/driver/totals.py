@@ -83,7 +83,9 @@ class RoleClock:
 
 
 def is_over(run: RunConfig, *, env_steps: int, training_seconds: float) -> bool:
-    """Says whether a run has come to its configured end."""
+    """Says whether a run has come to its configured end: at once where it has imitation alone."""
+    if not run.total_env_steps and not run.max_seconds:
+        return True
     if run.total_env_steps and env_steps >= run.total_env_steps:
         return True
     return bool(run.max_seconds) and training_seconds >= run.max_seconds
