@@ -78,7 +78,7 @@ def run(args: Args) -> int:
     )
     report = _Report(args, config, demonstrations.description, demonstrations.env_config)
     with user_errors(ValueError, OSError):
-        params = clone(policy, env, samples, args.training, report)
+        params = clone(policy, env, samples, args.training, max_delay=config.max_delay, on_report=report)
     print(f"{num_parameters(params):,} parameters in {report.newest}")
     print(f"play it   kinetix-dist bench delay --policy {args.run} --levels SET --picture {args.run / 'delay.png'}")
     return 0

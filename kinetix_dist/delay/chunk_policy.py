@@ -75,7 +75,6 @@ class ChunkPolicy:
     network: FlowNetwork
     space: ActionSpace
     num_steps: int  # K
-    max_delay: int = 0  # longest prefix that it was trained with
 
     @property
     def horizon(self) -> int:
@@ -126,7 +125,7 @@ def make_chunk_policy(config: FlowConfig, env: Environment) -> ChunkPolicy:
         token_width=config.token_width,
         num_layers=config.num_layers,
     )
-    return ChunkPolicy(network, space, config.integration_steps, config.max_delay)
+    return ChunkPolicy(network, space, config.integration_steps)
 
 
 def bound_dimensions(env: Environment, bound_heads: Array | None, num_worlds: int) -> Array:

@@ -80,9 +80,12 @@ def clone(
     env: Environment,
     samples: Samples,
     config: CloningConfig,
+    *,
+    max_delay: int = 0,
     on_report: Callable[[Progress], None] = lambda progress: None,
 ) -> Any:
-    """Parameters after `config.steps`. on_report: gets each report. Raises ValueError for too few episodes."""
+    """Parameters after `config.steps`. max_delay: `FlowConfig.max_delay`; on_report: gets each report. Raises
+    ValueError for too few episodes."""
     train, held_out = split_episodes(np.asarray(samples.left), config.held_out, config.seed)
     of_params, of_batches, of_held_out = prng.split(prng.fold_in(prng.key(config.seed), CLONING_STREAM), 3)
     chosen = np.random.default_rng((config.seed, CLONING_STREAM, 1)).permutation(held_out)[: config.held_out_batch]
@@ -90,9 +93,9 @@ def clone(
     params = init_params(policy, observations(env, samples, jnp.zeros(1, jnp.int32))[0], of_params)
     state = _optimizer(config).init(params)
     for first in range(0, config.steps, config.report_every):
-        learned = _Learned(params, state)
-        params, state, loss = _many_steps(policy, env, config, learned, samples, train, (of_batches, jnp.uint32(first)))
-        out = _loss(policy, env, params, samples, chosen, of_held_out)
+        learned, drawing = _Learned(params, state), _Drawing(of_batches, jnp.uint32(first), max_delay)
+        params, state, loss = _many_steps(policy, env, config, learned, samples, train, drawing)
+        out = _loss(policy, env, params, samples, chosen, of_held_out, max_delay)
         on_report(Progress(first + config.report_every, float(loss), float(out), params))
     return params
 
@@ -100,6 +103,12 @@ def clone(
 class _Learned(NamedTuple):
     params: Any
     state: Any  # of the optimiser
+
+
+class _Drawing(NamedTuple):
+    key: Array  # of batches
+    first: Array  # number of the first step
+    max_delay: int  # traced: policies that differ in it alone share a program
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 2))
@@ -110,15 +119,16 @@ def _many_steps(
     learned: _Learned,
     samples: Samples,
     train: Array,
-    drawing: tuple[Array, Array],
+    drawing: _Drawing,
 ) -> tuple[Any, Any, Array]:
-    """(parameters, state, mean loss) after `report_every` steps. drawing: key of batches, number of the first step."""
-    optimizer, (key, first) = _optimizer(config), drawing
+    """(parameters, state, mean loss) after `report_every` steps."""
+    optimizer, (key, first, max_delay) = _optimizer(config), drawing
 
     def step(now: _Learned, number: Array) -> tuple[_Learned, Array]:
         of_rows, of_loss = prng.split(prng.fold_in(key, number))
         rows = train[prng.randint(of_rows, (config.batch,), 0, train.shape[0])]
-        loss, gradient = jax.value_and_grad(_loss, argnums=2)(policy, env, now.params, samples, rows, of_loss)
+        learn = jax.value_and_grad(_loss, argnums=2)
+        loss, gradient = learn(policy, env, now.params, samples, rows, of_loss, max_delay)
         change, state = optimizer.update(gradient, now.state, now.params)
         return _Learned(optax.apply_updates(now.params, change), state), loss
 
@@ -127,12 +137,20 @@ def _many_steps(
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _loss(policy: ChunkPolicy, env: Environment, params: Any, samples: Samples, rows: Array, key: Array) -> Array:
+def _loss(
+    policy: ChunkPolicy,
+    env: Environment,
+    params: Any,
+    samples: Samples,
+    rows: Array,
+    key: Array,
+    max_delay: Array | int,
+) -> Array:
     """Flow loss of windows that begin with rows [B]. The key is consumed."""
     obs, bound = observations(env, samples, rows)
     chunk = windows(samples, rows, policy.horizon)
     actions = chunk.actions * bound[:, None]
-    drawn = draw(key, actions.shape, policy.max_delay)
+    drawn = draw(key, actions.shape, max_delay)
     drawn = drawn._replace(noise=drawn.noise * bound[:, None])
     weight = chunk.counts[..., None] * bound[:, None].astype(jnp.float32)
     return flow_loss(policy.flow(params, obs, bound), actions, drawn, weight)

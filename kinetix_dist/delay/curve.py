@@ -11,6 +11,7 @@ method is compared with the naive one at the same delay by differences level by 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, newest_goo
 from kinetix_dist.delay.chunk_policy import ChunkPolicy, TrainedChunks, is_chunk_policy, load_chunk_policy
 from kinetix_dist.delay.execution import Attempts, Schedule, play_chunks, play_single
 from kinetix_dist.delay.methods import Bidirectional, Method, Params, Plain, Rtc, TrainingTimeRtc
+from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.evaluate import Episodes, attempts_of_levels, solve_rates
 from kinetix_dist.evaluation.intervals import interval_of_mean
@@ -55,6 +57,7 @@ class Contender:
     chunks: ChunkPolicy | None  # None: `single` plays
     params: Params
     single: Player | None = None
+    max_delay: int = 0  # longest one that training simulated, of training-time RTC
 
     @property
     def horizon(self) -> int:
@@ -65,9 +68,9 @@ class Contender:
         if self.chunks is None:
             if method not in SINGLE_ACTION_METHODS:
                 return f"{self.name} gives single actions; {method} is of chunk policies"
-        elif method == TRAINING_TIME and delay > self.chunks.max_delay:
+        elif method == TRAINING_TIME and delay > self.max_delay:
             return (
-                f"{self.name} was trained with prefixes of up to {self.chunks.max_delay} actions; {method} at delay "
+                f"{self.name} was trained with prefixes of up to {self.max_delay} actions; {method} at delay "
                 f"{delay} takes a policy of `clone-flow --max-delay {delay}` or more"
             )
         return None
@@ -82,12 +85,24 @@ def contender_at(path: Path, levels: Level, *, weak: Path | None = None) -> Cont
     size = next(name for name, known in SIZES.items() if known == capacity_of(levels))
     if is_chunk_policy(_description(path)):
         trained = load_chunk_policy(path)
-        env = Environment(dataclasses.replace(trained.env, size=size))
+        env = _environment(dataclasses.replace(trained.env, size=size))
         policy, params = trained.player(env)
-        return Contender(name=str(path), env=env, chunks=policy, params=Params(params, _weak(weak, trained, env)))
+        return Contender(
+            name=str(path),
+            env=env,
+            chunks=policy,
+            params=Params(params, _weak(weak, trained, env)),
+            max_delay=trained.config.max_delay,
+        )
     newest = newest_checkpoint_of(path)[0] if (path / "checkpoints").is_dir() else checkpoint_at(path)
-    env = Environment(newest.env_config(size))
+    env = _environment(newest.env_config(size))
     return Contender(name=str(path), env=env, chunks=None, params=Params(None), single=newest.player(env, levels))
+
+
+@functools.lru_cache(maxsize=8)
+def _environment(config: EnvConfig) -> Environment:
+    """Policies of one kind of environment share it, and with it the programs that play them."""
+    return Environment(config)
 
 
 def _description(path: Path) -> Mapping[str, Any]:

@@ -30,7 +30,7 @@ class Draw(NamedTuple):
     prefix: Array  # [B] int32: so many first actions are given
 
 
-def draw(key: Array, shape: tuple[int, int, int], max_prefix: int) -> Draw:
+def draw(key: Array, shape: tuple[int, int, int], max_prefix: Array | int) -> Draw:
     """Normal noise, uniform times and uniform prefixes of 0 to `max_prefix` actions. Consumes the key."""
     of_noise, of_time, of_prefix = prng.split(key, 3)
     return Draw(

@@ -84,7 +84,7 @@ class Rtc:
 
 @dataclasses.dataclass(frozen=True)
 class TrainingTimeRtc:
-    """The prefix is given. The longest delay that training simulated is `ChunkPolicy.max_delay`."""
+    """The prefix is given. The policy was trained with prefixes of up to `FlowConfig.max_delay`."""
 
     def plan(self, policy: ChunkPolicy, params: Params, seen: Seen, old: Plan) -> Array:
         flow, noise = policy.flow(params.strong, seen.obs, seen.bound), policy.noise(seen.keys, seen.bound)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from flax import linen as nn
 
 from kinetix_dist import prng
 from kinetix_dist.checkpoint import CheckpointError
@@ -25,6 +26,7 @@ from kinetix_dist.delay.windows import Samples, observations, steps_left
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.models.flow_network import FlowNetwork
 from kinetix_dist.models.policy import PolicyConfig, make_encoder
 from kinetix_dist.setting import ConfigError
 
@@ -65,7 +67,11 @@ def samples(env: Environment) -> Samples:
 @pytest.fixture(scope="module")
 def trained(env: Environment, samples: Samples) -> tuple[ChunkPolicy, Params, list[Progress]]:
     policy, reports = make_chunk_policy(FLOW, env), []
-    return policy, Params(clone(policy, env, samples, CONFIG, reports.append)), reports
+    return (
+        policy,
+        Params(clone(policy, env, samples, CONFIG, max_delay=FLOW.max_delay, on_report=reports.append)),
+        reports,
+    )
 
 
 def test_the_policy_gives_the_actions_of_each_level(env: Environment, samples: Samples, trained: tuple) -> None:
@@ -90,6 +96,9 @@ def test_cloning_again_gives_the_same_bits(env: Environment, samples: Samples) -
     policy = make_chunk_policy(FLOW, env)
     first, again = (clone(policy, env, samples, config) for _ in range(2))
     jax.tree.map(np.testing.assert_array_equal, first, again)
+    other = clone(policy, env, samples, config, max_delay=2)  # with the same program
+    differs = jax.tree.map(lambda x, y: (np.asarray(x) != np.asarray(y)).any(), first, other)
+    assert any(jax.tree.leaves(differs))
 
 
 def test_a_checkpoint_holds_the_policy_and_its_environment(env: Environment, trained: tuple, tmp_path: Path) -> None:
@@ -134,3 +143,16 @@ def test_actions_and_their_units() -> None:
 def test_settings_that_cannot_be(make, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         make()
+
+
+def test_a_network_without_an_embedding_is_named() -> None:
+    class Alone(nn.Module):
+        """A network of one's own that ends with outputs and value, whatever it is asked for."""
+
+        @nn.compact
+        def __call__(self, obs: jax.Array) -> tuple[tuple, jax.Array]:
+            return (), nn.Dense(1)(obs)[..., 0]
+
+    network = FlowNetwork(encoder=Alone(), horizon=2, num_dimensions=6, width=4, token_width=2, num_layers=1)
+    with pytest.raises(ValueError, match="network Alone gives no embedding"):
+        network.init(prng.key(0), jnp.zeros((1, 3)), jnp.zeros((1, 2, 6)), jnp.zeros((1, 2)))
