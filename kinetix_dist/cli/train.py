@@ -137,9 +137,7 @@ def parse(
     if known.data is not None:
         if not known.data:
             raise UserError("--data is empty; name the directory of a data set, or leave it out")
-        with user_errors(ValueError):
-            imitation = dataclasses.replace(base.imitation, data=str(Path(known.data).resolve()))
-            base = dataclasses.replace(base, imitation=imitation)
+        overrides = [*overrides, "--imitation.data", str(Path(known.data).resolve())]
     phases = None
     if known.phases is not None:
         if single := [word for word in overrides if word.startswith(PREFIX)]:

@@ -114,7 +114,7 @@ class ImitationConfig:
     class_balance: float = setting(0.0, minimum=0, maximum=1)  # 1: rare choices of an action weigh as much as common
     held_out: float = setting(0.1, minimum=0, below=1)  # share of the levels of a data set by which it stops early
     every: int = setting(250, minimum=1)  # gradient steps between evaluations on them
-    patience: int = setting(8, minimum=1)  # evaluations without a lower loss, after which it stops
+    patience: int = setting(8, minimum=1)  # evaluations with no more actions alike, after which it stops
     skip_damaged: bool = False  # leave out shards of a data set that are damaged or missing, and count them
 
     def __post_init__(self) -> None:

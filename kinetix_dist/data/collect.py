@@ -127,18 +127,31 @@ def _opened(collection: Collection, folder: Path) -> Iterator[None]:
     described = level_file.describe_levels(collection.env, collection.levels, collection.level_names)
     content = level_file.encode_levels(described)
     wanted = collection.manifest(content)
+    _check_folder(folder, wanted)
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / INDEX).open("ab") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise DatasetError(f"{folder} is being written by another process; wait for it, or name another") from None
-        if (folder / manifest.FILE).exists():
-            manifest.check_same_collection(manifest.read_manifest(folder), wanted, folder)
-        else:
+        if not _check_folder(folder, wanted):
             level_file.write_levels(folder, content)
             manifest.write_manifest(folder, wanted)  # last: with it the folder is a data set
         yield
+
+
+def _check_folder(folder: Path, wanted: dict[str, Any]) -> bool:
+    """True where there is a data set of this collection. Raises DatasetError where there is something else."""
+    if (folder / manifest.FILE).exists():
+        manifest.check_same_collection(manifest.read_manifest(folder), wanted, folder)
+        return True
+    own = {level_file.FILE, INDEX}  # of a collection that was killed as it began
+    found = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+    if others := [name for name in found if name not in own and not name.startswith(".")]:
+        raise DatasetError(
+            f"{folder} holds other files ({others[0]}) and no data set; give --out a directory of its own"
+        )
+    return False
 
 
 def _is_there(folder: Path, shard: Shard) -> bool:

@@ -25,7 +25,7 @@ EVENTS: dict[str, str] = {
     "recorded": "rollouts were recorded: of which update, how many, and into which file",
     "evaluation_left_out": "an evaluation or a recording was due while four waited for the evaluator",
     # Imitation
-    "imitated": "proofs were imitated before the first update: gradient steps, seconds, loss of the last ones",
+    "imitated": "imitation ended, before the first update: gradient steps, seconds, loss, the curve on levels held out",
     # Phases
     "phase_began": "a phase of `phases` began: its number, at which update and environment step, and what it changes",
     # Curriculum

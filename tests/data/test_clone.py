@@ -19,12 +19,12 @@ from kinetix_dist.data import DatasetError, Transitions, open_dataset
 from kinetix_dist.data.collect import Collection, collect
 from kinetix_dist.data.rollout import ChosenBy
 from kinetix_dist.env.environment import EnvConfig, Environment
-from kinetix_dist.evaluation.policies import Player, RandomPolicy
+from kinetix_dist.evaluation.policies import NoopPolicy, Player
 from kinetix_dist.models.policy import init_params, make_policy
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime import make_environment
 from kinetix_dist.runtime.cores.dataset_samples import source_of_dataset, to_the_end, usable_samples
-from kinetix_dist.runtime.cores.imitation import Imitated, _log_probs, class_weights, imitate
+from kinetix_dist.runtime.cores.imitation import Best, Imitated, _log_probs, class_weights, imitate
 
 
 def config_of(data: Path, env: EnvConfig | None = None, **imitation: Any) -> TrainConfig:
@@ -157,25 +157,37 @@ def _imitated(config: TrainConfig) -> Imitated:
     return imitate(env, policy, params, source_of_dataset(config), config.imitation, steps=20, seed=0)
 
 
-def test_it_stops_where_the_loss_on_held_out_levels_rises_with_the_parameters_of_before(collected: Path) -> None:
+def test_the_best_is_kept_and_it_is_enough_after_as_many_that_are_no_better() -> None:
+    best = Best(patience=2)
+    scores = [0.5, 0.6, 0.6, 0.7, float("nan"), 0.1]
+    assert [best.is_enough(score, number) for number, score in enumerate(scores)] == [False] * 5 + [True]
+    assert best.kept == 3
+
+
+@pytest.mark.long  # two more programs are compiled
+def test_the_parameters_are_those_with_the_most_actions_alike_on_held_out_levels(collected: Path) -> None:
     """A rate at which anything but the first steps does harm."""
     stopped = _imitated(config_of(collected, learning_rate=1.0, every=2, patience=2))
-    steps, losses = ([point[name] for point in stopped.curve] for name in ("step", "loss"))
-    assert stopped.steps == steps[int(np.argmin(losses))] < steps[-1] < 20, stopped.curve
-    assert steps[-1] - stopped.steps == 2 * 2
+    steps, alike = ([point[name] for point in stopped.curve] for name in ("step", "accuracy"))
+    assert stopped.steps == steps[int(np.argmax(alike))], stopped.curve
+    assert steps[-1] == 20 or steps[-1] - stopped.steps == 2 * 2
     whole = _imitated(config_of(collected, learning_rate=1.0, held_out=0.0))
     assert whole.steps == 20 and whole.curve == []
 
 
 @pytest.mark.long  # another action space: its programs are compiled
 def test_continuous_actions_are_imitated(collection: Collection, tmp_path: Path) -> None:
-    """Actions that are 0.5 in all dimensions."""
+    """Actions that are 0 in all dimensions."""
     env = Environment(EnvConfig(size="s", max_steps=8, action_space="continuous"))
-    player = Player(RandomPolicy(env.action_space))
+    player = Player(NoopPolicy(env.action_space))
     continuous = dataclasses.replace(collection, env=env, player=player)
     collect(continuous, tmp_path / "data", 1)
     rows = open_dataset(tmp_path / "data").read()
-    assert rows.actions.dtype == np.float32 and np.all(np.isfinite(rows.log_prob))
+    assert rows.actions.dtype == np.float32
+    of_policy = rows.chosen_by == ChosenBy.POLICY
+    assert np.all(rows.log_prob[of_policy] == 0.0) and np.all(
+        np.isneginf(rows.log_prob[rows.chosen_by == ChosenBy.NOISE])
+    )
     config = config_of(tmp_path / "data", env.config, learning_rate=0.02, every=5)
     found = _imitated(config)
     assert found.curve[-1]["loss"] < found.curve[0]["loss"], found.curve

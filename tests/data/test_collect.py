@@ -12,15 +12,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from kinetix_dist import atomic_files
+from kinetix_dist import atomic_files, prng
 from kinetix_dist.data import DatasetError, Transitions, open_dataset
 from kinetix_dist.data.collect import Collection, collect
 from kinetix_dist.data.columns import from_parquet, to_parquet
 from kinetix_dist.data.rollout import ChosenBy, Disturbance
+from kinetix_dist.evaluation.policies import NetworkPolicy, Player
+from kinetix_dist.models.policy import init_params, make_policy
+from kinetix_dist.recipes import recipe
 from tests.data.small_collection import NUM_SHARDS
 from tests.helpers import REPOSITORY
 
@@ -51,6 +55,24 @@ def test_log_probability_of_uniform_actions_counts_what_the_level_obeys(collecte
     rows, choices = data.read(), np.array([3, 3, 3, 3, 2, 2])
     expected = -(data.levels.bound_heads * np.log(choices)).sum(axis=1)
     np.testing.assert_allclose(rows.log_prob, expected[rows.level], atol=1e-6)  # float32
+
+
+@pytest.mark.long  # a network is compiled
+def test_log_probability_of_a_network_is_that_of_the_executed_action(collection: Collection, tmp_path: Path) -> None:
+    """Also where noise chose it: what a method that corrects for the policy needs."""
+    env = collection.env
+    policy = make_policy(recipe("tiny").policy, env.action_distribution.head_sizes)
+    prepared = env.prepare(collection.levels)
+    params = init_params(policy, env.observe(prepared, prepared.initial_obs), prng.key(0))
+    player = Player(NetworkPolicy(policy, env.action_distribution), params)
+    collect(dataclasses.replace(collection, player=player), tmp_path / "data", 1)
+    data = open_dataset(tmp_path / "data")
+    rows = data.read()
+    static, bound = jax.tree.map(lambda x: x[rows.level], (rows.static_obs, data.levels.bound_heads))
+    outputs, _ = policy.apply(params, env.observation.join(static, jax.tree.map(jnp.asarray, rows.dynamic_obs)))
+    log_probs, _ = env.action_distribution.log_prob_and_entropy(outputs, jnp.asarray(rows.actions), bound=bound)
+    np.testing.assert_allclose(rows.log_prob, log_probs, atol=1e-4)  # float32, another batch size
+    assert len(np.unique(rows.chosen_by)) == 3
 
 
 def test_every_level_is_played_by_as_many_worlds(collection: Collection) -> None:
@@ -90,8 +112,11 @@ def test_a_kill_at_any_byte_of_the_index_is_made_good(
 KILLED = """
 import os, signal
 from pathlib import Path
-from kinetix_dist import atomic_files
+from kinetix_dist import atomic_files, prng
 from kinetix_dist.data.collect import collect
+from kinetix_dist.evaluation.policies import NetworkPolicy, Player
+from kinetix_dist.models.policy import init_params, make_policy
+from kinetix_dist.recipes import recipe
 from tests.data.small_collection import NUM_SHARDS, make_collection
 
 def kill(file, flush=atomic_files.flush_to_disk):

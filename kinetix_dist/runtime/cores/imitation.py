@@ -7,14 +7,16 @@
     loss = -mean log p(action | observation) + c / 2 mean (value - return)^2, linearly decaying Adam
                                                                              --> parameters that training goes on from
 
-Samples of levels that are held out say when to stop: where their loss has not fallen for `imitation.patience`
-evaluations, or at the end, the parameters are those at which it was lowest.
+Samples of levels that are held out say when to stop: where no more of their actions were alike for
+`imitation.patience` evaluations, or at the end, the parameters are those with the most. Not by their loss: it rises
+from the step on at which the policy becomes surer than it is right, while what it solves still grows (docs/data.md).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -84,7 +86,7 @@ def imitate(
     samples, weights = jax.tree.map(jnp.asarray, samples), class_weights(env.action_space, samples, count, config)
     held_out = None if source.held_out is None else jax.tree.map(jnp.asarray, source.held_out)
     state, key, losses = programs.optimizer.init(params), prng.fold_in(prng.key(seed), IMITATION_STREAM), []
-    best, curve = (np.inf, 0, params), []
+    best, curve = Best(config.patience), []
     for number in range(steps):
         if source.steps_per_pool and number and number % source.steps_per_pool == 0:
             samples, count = next(source.pools)
@@ -96,13 +98,27 @@ def imitate(
             continue
         loss, accuracy = programs.score(params, held_out)
         curve.append({"step": number + 1, "loss": round(float(loss), 5), "accuracy": round(float(accuracy), 5)})
-        if float(loss) < best[0]:
-            best = float(loss), number + 1, params
-        if number + 1 - best[1] >= config.patience * config.every:
+        if best.is_enough(float(accuracy), (number + 1, params)):
             break
-    loss = float(np.mean(jax.device_get(losses[-max(len(losses) // 10, 1) :])))
-    _, at, params = best if curve and best[1] else (loss, len(losses), params)
-    return Imitated(params, at, loss, curve)
+    at, params = best.kept or (len(losses), params)
+    return Imitated(params, at, float(np.mean(jax.device_get(losses[-max(len(losses) // 10, 1) :]))), curve)
+
+
+class Best:
+    """What was kept with the highest score, the first of equals."""
+
+    def __init__(self, patience: int) -> None:
+        self.kept: Any = None
+        self._patience = patience
+        self._score = -math.inf
+        self._waited = 0
+
+    def is_enough(self, score: float, kept: Any) -> bool:
+        """True where `patience` scores in a row were no higher. A score that is no number is none."""
+        self._waited += 1
+        if score > self._score:
+            self._score, self.kept, self._waited = score, kept, 0
+        return self._waited >= self._patience
 
 
 def class_weights(space: ActionSpace, samples: Samples, count: int, config: ImitationConfig) -> Array | None:

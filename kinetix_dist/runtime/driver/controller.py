@@ -550,7 +550,5 @@ def _is_due(every: int, num_updates: int) -> bool:
 
 def _in_words(imitated: Mapping[str, Any], curve: Sequence[Mapping[str, float]]) -> str:
     text = f"imitated: {imitated['steps']:,} gradient steps, {imitated['seconds']:.0f} s, loss {imitated['loss']:.3f}"
-    best = min(curve, key=lambda point: point["loss"], default=None)
-    if best is None:
-        return text
-    return f"{text}; on levels held out loss {best['loss']:.3f}, {best['accuracy']:.1%} of actions alike"
+    best = max(curve, key=lambda point: point["accuracy"], default=None)
+    return text if best is None else f"{text}; on levels held out {best['accuracy']:.1%} of actions are alike"
