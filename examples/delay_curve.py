@@ -23,7 +23,7 @@ CHUNKS = ("width", "64"), ("num-layers", "2"), ("batch", "128"), ("learning-rate
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--level", type=Path, default=file_of_level("s/hop_home"))
+    parser.add_argument("--level", type=Path, default=file_of_level("s/unicycle_balance"))
     parser.add_argument("--to", type=Path, default=Path("runs/delay"))
     parser.add_argument("--small", action="store_true", help="few steps of everything")
     args = parser.parse_args()
