@@ -100,21 +100,17 @@ class RecordingConfig:
         check_settings(self)
 
 
-EPISODES = ("all", "solved")
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ImitationConfig:
     """Imitation before the first update, `run.imitation_steps` gradient steps of it: of proofs or of a data set."""
 
     data: str = ""  # data set that is imitated; "": the proofs of curriculum.levels
-    episodes: str = setting("all", choices=EPISODES)  # of a data set, or "solved" ones alone
     batch_size: int = setting(128, minimum=1)  # samples of a gradient step
     learning_rate: float = setting(5e-4, above=0)  # at first; it falls to 0 linearly
     class_balance: float = setting(0.0, minimum=0, maximum=1)  # 1: rare choices of an action weigh as much as common
-    held_out: float = setting(0.1, minimum=0, below=1)  # share of the levels of a data set by which it stops early
+    held_out: float = setting(0.1, minimum=0, below=1)  # share of the levels that is left out, to score on; 0: none
     every: int = setting(250, minimum=1)  # gradient steps between evaluations on them
-    patience: int = setting(8, minimum=1)  # evaluations with no more actions alike, after which it stops
+    patience: int = setting(0, minimum=0)  # evaluations with no more actions alike, after which it stops; 0: never
     skip_damaged: bool = False  # leave out shards of a data set that are damaged or missing, and count them
 
     def __post_init__(self) -> None:

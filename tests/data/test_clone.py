@@ -23,7 +23,7 @@ from kinetix_dist.evaluation.policies import NoopPolicy, Player
 from kinetix_dist.models.policy import init_params, make_policy
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime import make_environment
-from kinetix_dist.runtime.cores.dataset_samples import source_of_dataset, to_the_end, usable_samples
+from kinetix_dist.runtime.cores.dataset_samples import returns_of, source_of_dataset, usable_samples
 from kinetix_dist.runtime.cores.imitation import Best, Imitated, _log_probs, class_weights, imitate
 
 
@@ -49,20 +49,18 @@ def test_returns_are_discounted_to_the_end_of_the_episode_where_that_was_seen() 
     rows = rows_of(
         rewards=[1.0, 2.0, 4.0, 8.0, 8.0],
         done=[False, False, True, False, False],
-        solved=[False, False, True, False, False],
         episode=[0, 0, 0, 3, 3],
         step=[0, 1, 2, 0, 1],
     )
-    ends = to_the_end(rows, 0.5)
-    np.testing.assert_array_equal(ends.returns, [1 + 1 + 1, 2 + 2, 4, 8 + 4, 8])
-    np.testing.assert_array_equal(ends.is_known, [True, True, True, False, False])
-    np.testing.assert_array_equal(ends.is_solved, [True, True, True, False, False])
+    returns, is_known = returns_of(rows, 0.5)
+    np.testing.assert_array_equal(returns, [1 + 1 + 1, 2 + 2, 4, 8 + 4, 8])
+    np.testing.assert_array_equal(is_known, [True, True, True, False, False])
 
 
 def test_rows_of_two_shards_are_not_taken_for_one_episode() -> None:
     """An episode that was cut at the end of a shard, and rows that are missing in between."""
-    rows = rows_of(rewards=[1.0, 1.0], done=[False, True], solved=[False, True], episode=[5, 5], step=[2, 7])
-    np.testing.assert_array_equal(to_the_end(rows, 0.5).is_known, [False, True])
+    rows = rows_of(rewards=[1.0, 1.0], done=[False, True], episode=[5, 5], step=[2, 7])
+    np.testing.assert_array_equal(returns_of(rows, 0.5)[1], [False, True])
 
 
 def test_a_share_of_the_levels_is_held_out_and_the_rest_is_what_the_policy_chose(collected: Path) -> None:
@@ -88,16 +86,11 @@ def _with_seed(data: Path, seed: int) -> TrainConfig:
     return dataclasses.replace(config, run=dataclasses.replace(config.run, seed=seed))
 
 
-def test_solved_episodes_alone_are_imitated_on_request(collected: Path) -> None:
+def test_a_data_set_of_noise_alone_is_refused(collected: Path) -> None:
     data = open_dataset(collected)
-    settings, rows = ImitationConfig(episodes="solved"), data.read()
-    with pytest.raises(DatasetError, match=r"imitation.episodes is 'solved', and 0 of \d+ episodes are solved"):
-        usable_samples(data, rows, settings, 0.5)  # so says the data; now let those of a level be solved
-    rows = rows._replace(solved=rows.done & (rows.level == 1))
-    samples = usable_samples(data, rows, settings, 0.5)
-    solved = np.isin(rows.episode, rows.episode[rows.solved]) & (rows.chosen_by == ChosenBy.POLICY)
-    assert 0 < len(samples.level) == solved.sum() and np.all(samples.level == 1)
-    assert np.all(samples.has_return == 1.0)
+    rows = data.read()
+    with pytest.raises(DatasetError, match="has nothing that its policy chose; collect it with less noise"):
+        usable_samples(data, rows._replace(chosen_by=np.full_like(rows.chosen_by, ChosenBy.NOISE)), 0.5)
 
 
 def test_a_large_data_set_is_learned_from_in_pools_of_one_shape(collected: Path) -> None:
@@ -171,8 +164,9 @@ def test_the_parameters_are_those_with_the_most_actions_alike_on_held_out_levels
     steps, alike = ([point[name] for point in stopped.curve] for name in ("step", "accuracy"))
     assert stopped.steps == steps[int(np.argmax(alike))], stopped.curve
     assert steps[-1] == 20 or steps[-1] - stopped.steps == 2 * 2
-    whole = _imitated(config_of(collected, learning_rate=1.0, held_out=0.0))
-    assert whole.steps == 20 and whole.curve == []
+    whole = _imitated(config_of(collected, learning_rate=1.0, every=2))
+    assert whole.steps == whole.curve[-1]["step"] == 20, "it is scored, and does not stop"
+    assert whole.curve[: len(stopped.curve)] == stopped.curve
 
 
 @pytest.mark.long  # another action space: its programs are compiled
@@ -199,7 +193,7 @@ def test_continuous_actions_are_imitated(collection: Collection, tmp_path: Path)
         ({}, {"imitation_steps": 0}, "imitation.data is .* but run.imitation_steps is 0"),
         ({}, {"placement": "colocated"}, "needs run.placement 'local', not 'colocated'"),
         ({"held_out": 1.0}, {}, "ImitationConfig.held_out is 1.0; it must be 0 or more and below 1"),
-        ({"episodes": "best"}, {}, "ImitationConfig.episodes is 'best'; choose one of all, solved"),
+        ({"patience": -1}, {}, "ImitationConfig.patience is -1; it must be 0 or more"),
     ],
 )
 def test_settings_that_cannot_clone_are_refused(

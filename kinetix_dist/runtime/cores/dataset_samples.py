@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -38,7 +38,7 @@ def source_of_dataset(config: TrainConfig, *, pool_rows: int = POOL_ROWS) -> Sou
     rng = np.random.default_rng((config.run.seed, IMITATION_STREAM))
 
     def samples_of(group: list[int]) -> Samples:
-        return usable_samples(data, data.read(group), settings, config.ppo.discount)
+        return usable_samples(data, data.read(group), config.ppo.discount)
 
     first = samples_of(groups[0])
     held_out = held_out_levels(settings, np.unique(first.level), len(data.levels.names), rng)
@@ -84,60 +84,49 @@ def held_out_levels(
     number = math.ceil(config.held_out * len(there))
     if number == len(there):
         raise DatasetError(
-            f"imitation.held_out {config.held_out:g} of {len(there)} levels leaves none to learn from; set it to 0 and "
-            "all run.imitation_steps are taken, or collect more levels"
+            f"imitation.held_out {config.held_out:g} of {len(there)} levels leaves none to learn from; set it to 0, "
+            "or collect more levels"
         )
     mask = np.zeros(num_levels, bool)
     mask[rng.permutation(there)[:number]] = True
     return mask
 
 
-def usable_samples(data: Dataset, rows: Transitions, config: ImitationConfig, discount: float) -> Samples:
+def usable_samples(data: Dataset, rows: Transitions, discount: float) -> Samples:
     """Rows to learn from. Raises DatasetError where there are none."""
-    ends = to_the_end(rows, discount)
+    returns, is_known = returns_of(rows, discount)
     is_usable = rows.chosen_by == ChosenBy.POLICY
-    if config.episodes == "solved":
-        is_usable &= ends.is_solved
     if not is_usable.any():
-        raise DatasetError(
-            f"data set {data.folder} has no transition to imitate: imitation.episodes is {config.episodes!r}, and "
-            f"{int(rows.solved.sum())} of {int(rows.done.sum())} episodes are solved"
-        )
+        raise DatasetError(f"data set {data.folder} has nothing that its policy chose; collect it with less noise")
     samples = Samples(
         static_obs=rows.static_obs,
         dynamic_obs=rows.dynamic_obs,
         level=rows.level,
         actions=rows.actions,
-        returns=ends.returns,
-        has_return=ends.is_known.astype(np.float32),
+        returns=returns,
+        has_return=is_known.astype(np.float32),
         bound_heads=data.levels.bound_heads,
     )
     return _picked(samples, is_usable)
 
 
-class Ends(NamedTuple):
-    """What each row's episode comes to, [N]."""
+def returns_of(rows: Transitions, discount: float) -> tuple[np.ndarray, np.ndarray]:
+    """(discounted return [N] float32 from each row to the end of its episode, [N] bool that this end was seen).
 
-    returns: np.ndarray  # float32, discounted, from the row on; of what was seen where its end was not
-    is_known: np.ndarray  # bool, the end of the episode was seen
-    is_solved: np.ndarray  # bool, it was solved
-
-
-def to_the_end(rows: Transitions, discount: float) -> Ends:
-    """From the last step of the longest episode to the first ones, all episodes at once."""
+    From the last step of the longest episode to the first ones, all episodes at once.
+    """
     number = len(rows.step)
     goes_on = np.zeros(number, bool)
     goes_on[:-1] = (rows.episode[1:] == rows.episode[:-1]) & (np.diff(rows.step) == 1)
-    ends = Ends(rows.rewards.copy(), rows.done.copy(), rows.solved.copy())
+    returns, is_known = rows.rewards.astype(np.float32), rows.done.copy()
     order = np.argsort(rows.step, kind="stable")
     starts = np.searchsorted(rows.step[order], np.arange(int(rows.step.max(initial=0)) + 2))
     for step in range(len(starts) - 2, -1, -1):
         here = order[starts[step] : starts[step + 1]]
         here = here[goes_on[here]]
-        ends.returns[here] += np.float32(discount) * ends.returns[here + 1]
-        ends.is_known[here] = ends.is_known[here + 1]
-        ends.is_solved[here] = ends.is_solved[here + 1]
-    return ends
+        returns[here] += np.float32(discount) * returns[here + 1]
+        is_known[here] = is_known[here + 1]
+    return returns, is_known
 
 
 def _picked(samples: Samples, index: np.ndarray) -> Samples:

@@ -7,9 +7,9 @@
     loss = -mean log p(action | observation) + c / 2 mean (value - return)^2, linearly decaying Adam
                                                                              --> parameters that training goes on from
 
-Samples of levels that are held out say when to stop: where no more of their actions were alike for
-`imitation.patience` evaluations, or at the end, the parameters are those with the most. Not by their loss: it rises
-from the step on at which the policy becomes surer than it is right, while what it solves still grows (docs/data.md).
+Samples of levels that are held out tell loss and accuracy there, and may say when to stop (`imitation.patience`): where
+no more of their actions were alike for so many evaluations, with the parameters of the most. By default they do not:
+what a policy solves still grows where loss and accuracy there no longer do (docs/data.md).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Source(NamedTuple):
 
     pools: Iterator[tuple[Samples, int]]  # without end: samples of one shape, and how many of the first ones count
     steps_per_pool: int  # gradient steps until the next one; 0: there is one
-    held_out: Samples | None = None  # by which it stops early
+    held_out: Samples | None = None  # by which it is scored, and may stop early
     about: Callable[[], dict[str, Any]] = dict  # for the event of the run
 
 
@@ -98,7 +98,7 @@ def imitate(
             continue
         loss, accuracy = programs.score(params, held_out)
         curve.append({"step": number + 1, "loss": round(float(loss), 5), "accuracy": round(float(accuracy), 5)})
-        if best.is_enough(float(accuracy), (number + 1, params)):
+        if config.patience and best.is_enough(float(accuracy), (number + 1, params)):
             break
     at, params = best.kept or (len(losses), params)
     return Imitated(params, at, float(np.mean(jax.device_get(losses[-max(len(losses) // 10, 1) :]))), curve)
