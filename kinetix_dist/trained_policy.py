@@ -14,6 +14,7 @@ from kinetix_dist.evaluation.load_policy import load_policy
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.level.level import Level
 
+CHUNK_POLICY = "chunk_policy"  # in the description of a checkpoint that kinetix_dist/delay/ plays
 MAX_LISTINGS = 3  # of a run's checkpoints, where all that were listed are pruned while they are read
 
 
@@ -67,6 +68,8 @@ def newest_checkpoint_of(run: Path) -> tuple[Trained, list[Rejected]]:
 
 
 def _trained(checkpoint: Checkpoint) -> Trained:
+    if CHUNK_POLICY in checkpoint.description:
+        raise UserError(f"{checkpoint.path} is a policy of action chunks; `kinetix-dist bench delay --policy` plays it")
     if "config" not in checkpoint.description:
         raise UserError(f"checkpoint {checkpoint.path} has no config of its training")
     with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path}: "):

@@ -22,6 +22,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {  # name: (module, what it measures)
     "engine effects": ("kinetix_dist.benchmarks.engine_effects", "what each effect (friction, joints, ...) costs"),
     "engine growth": ("kinetix_dist.benchmarks.engine_growth", "time and memory over numbers of worlds and shapes"),
     "env": ("kinetix_dist.benchmarks.env_speed", "environment steps per second of each observation and size"),
+    "delay": ("kinetix_dist.benchmarks.delay_curve", "solve rates over inference delay, by method, with a picture"),
     "goals": ("kinetix_dist.benchmarks.goal_following", "how well a policy goes below a goal, by kind of body"),
     "levels": ("kinetix_dist.benchmarks.level_generation", "random levels per second, drawn and filtered"),
     "train": ("kinetix_dist.benchmarks.training_speed", "environment steps per second of a recipe, time by role"),

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -145,12 +145,29 @@ def evaluate(
     if len(names) != num_levels:
         raise ValueError(f"{len(names)} names were given for {num_levels} levels")
     attempts = distinct_attempts(player.policy, attempts)
+    episodes = attempts_of_levels(
+        lambda index: play_attempts(env, *player, levels, key, index, index // attempts),
+        num_levels,
+        attempts,
+        max_worlds=max_worlds,
+    )
+    return solve_rates(names, episodes)
+
+
+def attempts_of_levels(
+    play: Callable[[Array], Episodes], num_levels: int, attempts: int, *, max_worlds: int = MAX_WORLDS
+) -> Episodes:
+    """Episodes (numpy) of every attempt at every level, [num_levels, attempts].
+
+    play: of attempts `index` [W]; number i is of level i // attempts.
+    """
     total = num_levels * attempts
-    chunks = [
-        jax.device_get(play_attempts(env, *player, levels, key, index, index // attempts))
-        for index in _chunks(total, max_worlds)
-    ]
-    episodes = jax.tree.map(lambda *parts: np.concatenate(parts)[:total].reshape(num_levels, attempts), *chunks)
+    chunks = [jax.device_get(play(index)) for index in _chunks(total, max_worlds)]
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:total].reshape(num_levels, attempts), *chunks)
+
+
+def solve_rates(names: Sequence[str], episodes: Episodes) -> SolveRates:
+    """Solve rates of episodes [levels, attempts], which have these names."""
     return SolveRates(
         total=solve_rate("all", episodes),
         levels=tuple(solve_rate(name, index_worlds(episodes, i)) for i, name in enumerate(names)),

@@ -3,6 +3,7 @@
 Two intervals answer two questions:
 
     wilson_interval         what is the rate on these levels?   Attempts are the sample.
+    interval_of_mean        the same, of rates that each level has on its own.
     interval_over_levels    what is it on levels like these?    Base levels are the sample.
 
 Wilson's score interval: the rates p for which the observed share of k successes in n trials is within z standard
@@ -109,6 +110,19 @@ def difference_interval(estimate: Estimate, other: Estimate) -> Estimate:
         difference - math.hypot(value - low, other_high - other_value),
         difference + math.hypot(high - value, other_value - other_low),
     )
+
+
+def interval_of_mean(estimates: Sequence[Estimate]) -> Estimate:
+    """(mean, low, high) of independent estimates (value, low, high), from the interval of each.
+
+    Where each is of one level, it is narrower than Wilson's of all attempts together: those of a level are compared
+    with that level's rate alone. (G. Y. Zou and A. Donner, Construction of confidence limits about effect measures: a
+    general approach, 2008.)
+    """
+    mean = sum(value for value, _, _ in estimates) / len(estimates)
+    below = math.sqrt(sum((value - low) ** 2 for value, low, _ in estimates)) / len(estimates)
+    above = math.sqrt(sum((high - value) ** 2 for value, _, high in estimates)) / len(estimates)
+    return mean, mean - below, mean + above
 
 
 def for_readers(rate: Mapping[str, Any]) -> tuple[float, float]:

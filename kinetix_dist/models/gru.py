@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 
 from jax2d.scene import Array
-from kinetix_dist.models.towers import stacked
+from kinetix_dist.models.towers import Towers, stacked
 
 
 class Gru(nn.Module):
@@ -78,8 +78,11 @@ def _orthogonal_gates(key: Array, shape: tuple[int, int], dtype: Any = jnp.float
 def apply_towers(towers: nn.Module, embedding: Array, memory: Array | None, is_first: Array | None, size: int) -> Any:
     """Outputs of a network for its embedding: (outputs, value), and after one step the next memory where one was given.
 
-    size: of the memory; 0: none. Called inside of a compact network.
+    size: of the memory; 0: none. Towers without heads: the embedding itself, as `make_encoder` has it. Called inside of
+    a compact network.
     """
+    if isinstance(towers, Towers) and not towers.head_sizes:
+        return embedding
     if not size:
         return towers(embedding)
     after = Gru(size, name="gru")(embedding, memory, is_first)

@@ -100,6 +100,19 @@ def make_policy(config: PolicyConfig, head_sizes: tuple[int, ...]) -> nn.Module:
     return NETWORKS[config.network].build(config, tuple(head_sizes))
 
 
+def make_encoder(config: PolicyConfig) -> nn.Module:
+    """The same network without actor and critic: its output is the embedding of the observations, [B, features].
+
+    Raises ConfigError for settings of what it does not have.
+    """
+    if config.read_out != "pooled" or config.recurrent != "none":
+        raise ConfigError(
+            f"an encoder alone has PolicyConfig.read_out 'pooled' and recurrent 'none', not {config.read_out!r} and "
+            f"{config.recurrent!r}"
+        )
+    return make_policy(config, ())
+
+
 def _common(config: PolicyConfig, head_sizes: tuple[int, ...]) -> dict[str, Any]:
     return {
         "hidden_size": config.hidden_size,

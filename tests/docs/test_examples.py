@@ -67,6 +67,18 @@ def test_a_level_is_written_trained_on_and_watched(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+def test_a_level_leads_to_a_delay_curve(tmp_path: Path) -> None:
+    printed = run_example("delay_curve.py", "--small", "--to", str(tmp_path))
+    assert "35 points of a delay curve" in printed  # five methods of the flow, two of the specialist, five delays
+    assert {(each["method"], each["delay"]) for each in json.loads((tmp_path / "delay.json").read_text())} == {
+        (method, delay)
+        for method in ("synchronous", "naive", "bidirectional", "rtc", "training_time_rtc")
+        for delay in range(5)
+    }
+    assert_drawn(tmp_path / "delay.png")
+
+
+@pytest.mark.long
 def test_a_network_of_ones_own_is_trained(tmp_path: Path) -> None:
     """The other two parts of a user are trained with in tests/runtime/test_ray_run.py."""
     options = ("--curriculum.name", "domain_randomization", "--run.total_env_steps", "256")

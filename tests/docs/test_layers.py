@@ -17,7 +17,7 @@ LAYERS = (
     ("cli",),
     ("study",),
     ("benchmarks", "finetune", "sweep"),
-    ("api", "recipes"),
+    ("api", "delay", "recipes"),
     ("runtime",),
     ("studio",),
     ("data", "trained_policy"),

@@ -2,6 +2,12 @@
 
 /** By the anchor of a term there. @type {Record<string, { names: string[], text: string }>} */
 export const GLOSSARY = {
+  "action-chunk": {
+    "names": [
+      "action chunk"
+    ],
+    "text": "several actions that a policy gives at once, for the steps to come; as many as its horizon (delay)"
+  },
   "adopt": {
     "names": [
       "adopt"
@@ -128,6 +134,12 @@ export const GLOSSARY = {
     ],
     "text": "share of the variance of returns that the value function predicts: 1 is all, 0 no more than a constant does"
   },
+  "flow-matching": {
+    "names": [
+      "flow matching"
+    ],
+    "text": "making samples, here chunks of actions, from noise along a learned velocity"
+  },
   "fresh-level": {
     "names": [
       "fresh level"
@@ -170,6 +182,12 @@ export const GLOSSARY = {
       "idle share"
     ],
     "text": "share of the time in which a process was in no call: it waited for others"
+  },
+  "inference-delay": {
+    "names": [
+      "inference delay"
+    ],
+    "text": "environment steps from an observation to the first action that follows from it"
   },
   "interquartile-mean": {
     "names": [
