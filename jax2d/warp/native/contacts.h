@@ -410,13 +410,14 @@ struct Contacts {
                                    repeats == 0, moves);
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
-        c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
         pair.write_back(bodies);
-        // Both points of a pair in turn, until they agree.
+        // Both points of a pair in turn, until they agree: what one had on the way does not count.
         if (c.is_second && Math::max(first_change, change) > SETTLED_SPEED && repeats < POINT_ROUNDS) {
           ++repeats;
           i -= 2;
-        } else if (c.is_second) {
+        } else if (c.is_second || i + 1 == count || !list[i + 1].is_second) {
+          for (int k = c.is_second ? i - 1 : i; k <= i; ++k)
+            list[k].max_impulse = Math::max(list[k].max_impulse, list[k].impulse_normal);
           repeats = 0;
         }
         first_change = change;
