@@ -42,7 +42,7 @@ struct Joints {
         system.add(system.after_of(i), k);
       }
     system.find_order();
-    for (int i = 0; i < NUM_SHAPES; ++i) articulation[i] = -1;
+    for (int i = 0; i < NUM_SHAPES && NUM_JOINTS > 0; ++i) articulation[i] = -1;
     for (int k = 0; k < count; ++k) JointSystem::clear(members_of(k));
     // `find_order` has put joints in the order of elimination, but their bodies are loaded later.
     for (int k = 0; k < count; ++k) {
