@@ -219,7 +219,7 @@ def test_sets_that_are_drawn_are_not_drawn_before_a_run_begins(monkeypatch):
     monkeypatch.setattr(evaluation_sets, "load_level_set", lambda name: (loaded.append(name), *load(name))[1:])
     names = ("random_s", "dev_random_s", "dev_designed_s", "frontier_s", "kinetix_s", "designed_s", "s/kick")
     config = recipe("tiny")
-    train._check_levels(dataclasses.replace(config, evaluation=EvaluationConfig(sets=names)))
+    train._check_inputs(dataclasses.replace(config, evaluation=EvaluationConfig(sets=names)), is_new=True)
     assert loaded == ["designed_s", "s/kick"]  # files, which may be wrong
 
 
@@ -537,9 +537,9 @@ def test_the_command_keeps_off_gpus_before_it_reads_levels(options, tmp_path):
         "import sys, jax\n"
         "from kinetix_dist.cli import main, train\n"
         "from kinetix_dist.errors import UserError\n"
-        "def stop(config):\n"
+        "def stop(config, is_new):\n"
         "    raise UserError(f'platforms {jax.config.jax_platforms}')\n"
-        "train._check_levels = stop\n"
+        "train._check_inputs = stop\n"
         "sys.exit(main.main(sys.argv[1:]))"
     )
     environment = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
