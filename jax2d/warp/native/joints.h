@@ -42,14 +42,15 @@ struct Joints {
         system.add(system.after_of(i), k);
       }
     system.find_order();
+  }
+
+  // Which articulation each body is of. Joints are in the order of elimination.
+  KFN void note_articulations(const Bodies& bodies) {
     for (int i = 0; i < NUM_SHAPES && NUM_JOINTS > 0; ++i) articulation[i] = -1;
     for (int k = 0; k < count; ++k) JointSystem::clear(members_of(k));
-    // `find_order` has put joints in the order of elimination, but their bodies are loaded later.
     for (int k = 0; k < count; ++k) {
-      int packed = ints.get(INTS_JOINTS + system.order[k]);
-      int a = Slot::shape(packed >> JOINTS_A_SHIFT & JOINTS_A_MASK), b = Slot::shape(packed >> JOINTS_B_SHIFT & JOINTS_B_MASK);
-      if (bodies.is_dynamic(a)) articulation[a] = system.last[k];
-      if (bodies.is_dynamic(b)) articulation[b] = system.last[k];
+      if (bodies.is_dynamic(list[k].a)) articulation[list[k].a] = system.last[k];
+      if (bodies.is_dynamic(list[k].b)) articulation[list[k].b] = system.last[k];
       JointSystem::add(members_of(system.last[k]), k);
     }
   }
@@ -87,6 +88,7 @@ struct Joints {
       joint.axial_mass =
           Math::inverse_or_zero(bodies.inverse_inertia(joint.a) + bodies.inverse_inertia(joint.b));
     }
+    if (SOFT_STEP && is_first) note_articulations(bodies);
   }
 
   // The impulses as they were last stored.
