@@ -45,6 +45,12 @@ def env_config_of(config: TrainConfig, size: str) -> EnvConfig:
     return dataclasses.replace(config.env, size=size)
 
 
+def trained_at(path: Path) -> Trained:
+    """Newest checkpoint of a run, or the checkpoint of a directory or of a pretrained policy's name. Raises
+    UserError."""
+    return newest_checkpoint_of(path)[0] if (path / "checkpoints").is_dir() else checkpoint_at(path)
+
+
 def checkpoint_at(path: Path) -> Trained:
     """Checkpoint of a directory, or of a pretrained policy by its name. Raises UserError."""
     if (path / "checkpoints").is_dir():

@@ -22,7 +22,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.policies import NetworkPolicy, act
 from kinetix_dist.level.walls import empty_level
 from kinetix_dist.models.gru import initial_memory, reset_memory
-from kinetix_dist.trained_policy import checkpoint_at, newest_checkpoint_of
+from kinetix_dist.trained_policy import trained_at
 
 
 @jax.tree_util.register_dataclass
@@ -77,8 +77,7 @@ def load_policy(name: str | Path = "generalist", *, greedy: bool = False) -> Pol
       name: of a bundled policy, or the path of a checkpoint, or of a run, whose newest checkpoint is taken.
       greedy: takes the most likely actions instead of drawing them.
     """
-    path = Path(name)
-    trained = newest_checkpoint_of(path)[0] if (path / "checkpoints").is_dir() else checkpoint_at(path)
+    trained = trained_at(Path(name))
     config = trained.config.env
     env = Environment(config)
     one_level = jax.tree.map(lambda x: jnp.asarray(x)[None], empty_level(config.capacity))

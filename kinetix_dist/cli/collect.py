@@ -106,14 +106,13 @@ def check(args: Args) -> None:
 
 def _trained(policy: str) -> Trained | None:
     """The checkpoint that plays; None for a baseline."""
-    from kinetix_dist.trained_policy import checkpoint_at, newest_checkpoint_of
+    from kinetix_dist.trained_policy import trained_at
 
     if policy in BASELINES:
         return None
     if not policy:
         raise UserError("--policy is empty; name a run, a checkpoint or a pretrained policy, or random or noop")
-    path = Path(policy)
-    return newest_checkpoint_of(path)[0] if (path / "checkpoints").is_dir() else checkpoint_at(path)
+    return trained_at(Path(policy))
 
 
 def _collection(args: Args, trained: Trained | None) -> Collection:

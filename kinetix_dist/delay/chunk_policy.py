@@ -23,6 +23,7 @@ import numpy as np
 from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.checkpoint import (
+    Checkpoint,
     CheckpointError,
     flatten_arrays,
     load_checkpoint,
@@ -183,14 +184,22 @@ def is_chunk_policy(description: Mapping[str, Any]) -> bool:
 
 def load_chunk_policy(path: Path) -> TrainedChunks:
     """The policy of a checkpoint, or of a run, whose newest checkpoint is taken. Raises CheckpointError for none."""
-    if (path / "checkpoints").is_dir():
-        checkpoint, _ = newest_good(path / "checkpoints")
-        if checkpoint is None:
-            raise CheckpointError(f"{path} has no checkpoint that can be used")
-    else:
-        checkpoint = load_checkpoint(path)
+    checkpoint = stored_checkpoint(path)
+    if checkpoint is None:
+        raise CheckpointError(f"{path} has no checkpoint that can be used")
     if not is_chunk_policy(checkpoint.description):
         raise CheckpointError(f"{checkpoint.path} is no policy of action chunks")
+    return chunk_policy_of(checkpoint)
+
+
+def stored_checkpoint(path: Path) -> Checkpoint | None:
+    """Checkpoint of a directory or of a bundled name, or the newest good one of a run; None where a run has none.
+    Raises CheckpointError."""
+    return newest_good(path / "checkpoints")[0] if (path / "checkpoints").is_dir() else load_checkpoint(path)
+
+
+def chunk_policy_of(checkpoint: Checkpoint) -> TrainedChunks:
+    """The policy that a checkpoint of one holds."""
     content = checkpoint.description[CHUNK_POLICY]
     return TrainedChunks(
         path=checkpoint.path,

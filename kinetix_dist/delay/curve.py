@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from kinetix_dist import prng
-from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, newest_good
-from kinetix_dist.delay.chunk_policy import ChunkPolicy, TrainedChunks, is_chunk_policy, load_chunk_policy
+from kinetix_dist.checkpoint import CheckpointError
+from kinetix_dist.delay.chunk_policy import (
+    ChunkPolicy,
+    TrainedChunks,
+    chunk_policy_of,
+    is_chunk_policy,
+    load_chunk_policy,
+    stored_checkpoint,
+)
 from kinetix_dist.delay.execution import Attempts, Schedule, play_chunks, play_single
 from kinetix_dist.delay.methods import Bidirectional, Method, Params, Plain, Rtc, TrainingTimeRtc
 from kinetix_dist.env.env_config import EnvConfig
@@ -34,7 +41,7 @@ from kinetix_dist.evaluation.policies import Player
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.registry import Registry
-from kinetix_dist.trained_policy import checkpoint_at, newest_checkpoint_of
+from kinetix_dist.trained_policy import trained_at
 
 SYNCHRONOUS, NAIVE, TRAINING_TIME = "synchronous", "naive", "training_time_rtc"
 METHODS: Registry[Method] = Registry("method")
@@ -83,8 +90,9 @@ def contender_at(path: Path, levels: Level, *, weak: Path | None = None) -> Cont
     UserError, one line.
     """
     size = next(name for name, known in SIZES.items() if known == capacity_of(levels))
-    if is_chunk_policy(_description(path)):
-        trained = load_chunk_policy(path)
+    checkpoint = stored_checkpoint(path)
+    if checkpoint is not None and is_chunk_policy(checkpoint.description):
+        trained = chunk_policy_of(checkpoint)
         env = _environment(dataclasses.replace(trained.env, size=size))
         policy, params = trained.player(env)
         return Contender(
@@ -94,7 +102,7 @@ def contender_at(path: Path, levels: Level, *, weak: Path | None = None) -> Cont
             params=Params(params, _weak(weak, trained, env)),
             max_delay=trained.config.max_delay,
         )
-    newest = newest_checkpoint_of(path)[0] if (path / "checkpoints").is_dir() else checkpoint_at(path)
+    newest = trained_at(path)
     env = _environment(newest.env_config(size))
     return Contender(name=str(path), env=env, chunks=None, params=Params(None), single=newest.player(env, levels))
 
@@ -103,13 +111,6 @@ def contender_at(path: Path, levels: Level, *, weak: Path | None = None) -> Cont
 def _environment(config: EnvConfig) -> Environment:
     """Policies of one kind of environment share it, and with it the programs that play them."""
     return Environment(config)
-
-
-def _description(path: Path) -> Mapping[str, Any]:
-    if (path / "checkpoints").is_dir():
-        newest, _ = newest_good(path / "checkpoints")
-        return {} if newest is None else newest.description
-    return load_checkpoint(path).description
 
 
 def _weak(path: Path | None, strong: TrainedChunks, env: Environment) -> Any:

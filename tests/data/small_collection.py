@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+from typing import Any
+
 import jax
 import numpy as np
+import pytest
 
+from kinetix_dist import atomic_files
 from kinetix_dist.data.collect import Collection
 from kinetix_dist.data.rollout import Disturbance
 from kinetix_dist.env.environment import EnvConfig, Environment
@@ -12,6 +17,18 @@ from kinetix_dist.evaluation.policies import Player, RandomPolicy
 from kinetix_dist.level.sets import load_level_set
 
 NUM_SHARDS = 3
+
+
+def fill_disc_at(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """From now on files with this in their name find no space on the disc."""
+    flush = atomic_files.flush_to_disk
+
+    def full(file: Any) -> None:
+        if name in file.name:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        flush(file)
+
+    monkeypatch.setattr(atomic_files, "flush_to_disk", full)
 
 
 def make_collection() -> Collection:

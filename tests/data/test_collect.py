@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import errno
 import fcntl
 import math
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from kinetix_dist import atomic_files, prng
+from kinetix_dist import prng
 from kinetix_dist.data import DatasetError, Transitions, open_dataset
 from kinetix_dist.data.collect import Collection, collect
 from kinetix_dist.data.columns import from_parquet, to_parquet
@@ -25,7 +23,7 @@ from kinetix_dist.data.rollout import ChosenBy, Disturbance
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.models.policy import init_params, make_policy
 from kinetix_dist.recipes import recipe
-from tests.data.small_collection import NUM_SHARDS
+from tests.data.small_collection import NUM_SHARDS, fill_disc_at
 from tests.helpers import REPOSITORY
 
 
@@ -117,7 +115,7 @@ from kinetix_dist.data.collect import collect
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.models.policy import init_params, make_policy
 from kinetix_dist.recipes import recipe
-from tests.data.small_collection import NUM_SHARDS, make_collection
+from tests.data.small_collection import NUM_SHARDS, fill_disc_at, make_collection
 
 def kill(file, flush=atomic_files.flush_to_disk):
     if "shard-000001" in file.name:
@@ -145,14 +143,8 @@ def test_a_killed_process_loses_one_shard_and_the_next_goes_on_to_the_same_bytes
 def test_a_full_disc_stops_the_collection_and_what_is_written_stays_valid(
     collection: Collection, collected: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder, flush = tmp_path / "data", atomic_files.flush_to_disk
-
-    def full(file: Any) -> None:
-        if "shard-000002" in file.name:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        flush(file)
-
-    monkeypatch.setattr(atomic_files, "flush_to_disk", full)
+    folder = tmp_path / "data"
+    fill_disc_at(monkeypatch, "shard-000002")
     with pytest.raises(OSError, match="No space left on device"):
         collect(collection, folder, NUM_SHARDS)
     assert not list(folder.glob(".*")), "a full disc has better uses than half a shard"

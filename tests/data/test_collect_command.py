@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import errno
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from kinetix_dist import atomic_files
 from kinetix_dist.cli.main import main
 from kinetix_dist.data import open_dataset
+from tests.data.small_collection import fill_disc_at
 
 SMALL = ["--worlds", "2", "--shard-transitions", "512"]  # 256 steps of each world, the longest episode
 
@@ -24,14 +22,8 @@ def command(out: Path, transitions: str, *options: str) -> list[str]:
 def test_a_collection_is_made_added_to_and_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out, flush = tmp_path / "data", atomic_files.flush_to_disk
-
-    def full(file: Any) -> None:
-        if "shard-000001" in file.name:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        flush(file)
-
-    monkeypatch.setattr(atomic_files, "flush_to_disk", full)
+    out = tmp_path / "data"
+    fill_disc_at(monkeypatch, "shard-000001")
     assert main(command(out, "1.5e3")) == 2
     said = capsys.readouterr()
     [line] = said.err.splitlines()
