@@ -40,7 +40,7 @@ MEASURE_WORK = """() => {
   frame(function tick() { if (sum) window.work.push(sum); sum = 0; frame(tick); });
 }"""
 CHECK = """async () => {
-  const { channel } = await import(new URL("static/base/channel.js", location.href));
+  const { channel } = await import(new URL("base/channel.js", document.querySelector("script[type=module]").src));
   const { levels } = await (await fetch("api/levels/sets/all_designed_l")).json();
   const times = [];
   for (const { text } of levels) {
@@ -51,7 +51,7 @@ CHECK = """async () => {
   return times;
 }"""
 PLAY = """async (seconds) => {
-  const { channel } = await import(new URL("static/base/channel.js", location.href));
+  const { channel } = await import(new URL("base/channel.js", document.querySelector("script[type=module]").src));
   const [[, session]] = channel.sessions;
   const show = session.frame;
   const gaps = [], keys = [];

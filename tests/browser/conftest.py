@@ -25,6 +25,9 @@ FOUND = {browser.kind: browser for browser in found_browsers()}
 # `make test` takes one, `make test-long` the other too.
 KINDS = [pytest.param(kind, marks=[pytest.mark.long] if number else []) for number, kind in enumerate(FOUND)]
 TIMEOUT_MS = 1000 * PATIENCE_S
+# moduleOf("base/channel.js"): the page's own copy. Its scripts are served below a path with their hash, and a browser that
+# imports one from another path gets a second copy, whose channel is never connected.
+MODULE_OF = """window.moduleOf = (name) => import(new URL(name, document.querySelector("script[type=module]").src))"""
 TRAINED_VARIABLE = "KINETIX_TRAINED_RUNS"
 
 
@@ -70,6 +73,7 @@ def open_page(browser: Any, serve: Any) -> Iterator[Callable[..., Any]]:
         options.setdefault("viewport", {"width": 1600, "height": 900})
         context = browser.new_context(locale="en-US", accept_downloads=True, **options)
         context.set_default_timeout(TIMEOUT_MS)
+        context.add_init_script(MODULE_OF)
         page = context.new_page()
         origin = server.address.split("?")[0]
         allowed = (origin, origin.replace("http", "ws"), "blob:", "data:")

@@ -156,7 +156,7 @@ def test_a_constant_is_flat_and_one_value_is_a_point(tmp_path: Path, open_page: 
 def test_labels_of_an_axis_differ(trained_server: Server, open_page: OpenPage) -> None:
     page = open_page(trained_server)
     labels = """async (ticks) => {
-      const { tickLabels } = await import(new URL("static/charts/axes.js", location.href));
+      const { tickLabels } = await moduleOf("charts/axes.js");
       return tickLabels(ticks);
     }"""
     for ticks, expected in (
@@ -168,7 +168,7 @@ def test_labels_of_an_axis_differ(trained_server: Server, open_page: OpenPage) -
     ):
         assert page.evaluate(labels, ticks) == expected
     limits = """async ([low, high]) => {
-      const { rangeOf } = await import(new URL("static/charts/axes.js", location.href));
+      const { rangeOf } = await moduleOf("charts/axes.js");
       return rangeOf(low, high);
     }"""
     for value, expected in ((0, [0, 1]), (3e-4, [0, 3.6e-4]), (1e9, [0, 1.2e9]), (-2, [-2.4, 0])):

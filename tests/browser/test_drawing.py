@@ -19,7 +19,7 @@ from tests.studio.serving import Server
 
 PIXELS = 524  # 100 a metre of the 5.24 m that are seen
 DRAW = """async ([display, poses, thrust, palette, pixels]) => {
-  const { drawWorld } = await import(new URL("static/world/canvas.js", location.href));
+  const { drawWorld } = await moduleOf("world/canvas.js");
   const canvas = document.createElement("canvas");
   canvas.width = canvas.height = pixels;
   drawWorld(canvas, display, poses, palette, { thrust });

@@ -219,7 +219,7 @@ def test_every_designed_level_is_opened_and_saved_unchanged(editing: Callable[..
     bench, server = editing(tmp_path)
     page = bench.page
     save = """async (names) => {
-      const from = (name) => import(new URL(`static/editor/${name}.js`, location.href));
+      const from = (name) => moduleOf(`editor/${name}.js`);
       const [{ Editor }, { openFile, saveFile }] = await Promise.all(["state", "files"].map(from));
       const engine = await (await fetch("api/engine")).json();
       for (const name of names) {
@@ -244,7 +244,7 @@ def test_every_public_level_is_opened_and_saved_as_the_same_level(
     files = sorted(public_levels.rglob("*.json"))
     for k, file in enumerate(files):
         save = """async ([name, text]) => {
-          const from = (name) => import(new URL(`static/editor/${name}.js`, location.href));
+          const from = (name) => moduleOf(`editor/${name}.js`);
           const [{ Editor }, { openText, saveFile }] = await Promise.all(["state", "files"].map(from));
           const editor = new Editor(await (await fetch("api/engine")).json());
           await openText(editor, text);

@@ -16,13 +16,13 @@ from tests.browser.test_editor import Bench
 
 COMPILE_MS = 180_000  # until play starts: the worker compiles behind everything else
 USUAL = """async () => {
-  const { fieldsOf } = await import(new URL("static/editor/fields.js", location.href));
+  const { fieldsOf } = await moduleOf("editor/fields.js");
   const elements = { shapes: { type: "box" }, joints: { type: "revolute", motor: {} }, thrusters: {} };
   const all = Object.entries(elements).flatMap(([part, element]) => fieldsOf(part, element, []));
   return Object.fromEntries(all.filter(({ usual }) => usual).map(({ name, usual }) => [name, usual]));
 }"""
 SNAP = """async ([document, walls, at, px]) => {
-  const { snapped, snapTargets } = await import(new URL("static/editor/snap.js", location.href));
+  const { snapped, snapTargets } = await moduleOf("editor/snap.js");
   return snapped(at, snapTargets(document, walls, at), px).point;
 }"""
 
@@ -301,8 +301,8 @@ def test_the_distance_is_that_of_edges_and_a_touch_solves(editing: Callable[...,
     page.keyboard.press("Space")
     state.wait_for(timeout=COMPILE_MS)
     page.get_by_role("button", name="from the start").click()
-    page.wait_for_selector(".play-state[data-outcome=solved]")
-    assert "green touched blue" in state.inner_text()
+    state.filter(has_text="green touched blue").wait_for()
+    assert state.get_attribute("data-outcome") == "solved"
     page.get_by_label("step", exact=True).fill("0")
     state.filter(has_text="green is 0.60 m from blue").wait_for()  # 1 m, less both radii
 

@@ -79,8 +79,8 @@ def test_what_is_fixed_is_hatched(editing: Callable[..., Any], tmp_path: Path) -
     """The colours of a fixed box: its own, the hatching's, the outline's."""
     bench, _ = editing(tmp_path / "new.json")
     colours = """async (fixed) => {
-      const { drawWorld } = await import(new URL("static/world/canvas.js", location.href));
-      const { levelPicture } = await import(new URL("static/world/display_list.js", location.href));
+      const { drawWorld } = await moduleOf("world/canvas.js");
+      const { levelPicture } = await moduleOf("world/display_list.js");
       const engine = await (await fetch("api/engine")).json();
       const shapes = [{ id: "a", type: "box", width: 2, height: 2, position: [2.5, 2.5], role: "red", fixed }];
       const { display, poses } = levelPicture({ size: "s", shapes }, engine);

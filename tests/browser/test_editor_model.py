@@ -24,17 +24,17 @@ FILES = [file for size in "sml" for file in files_of_set(f"all_designed_{size}")
 NEAR_M = 1e-5  # the engine's levels are float32: 5 m are known to 5e-7 m, and centroids and anchors are sums of some
 
 DRAW = """async ([documents, engine]) => {
-  const { levelPicture } = await import(new URL("static/world/display_list.js", location.href));
+  const { levelPicture } = await moduleOf("world/display_list.js");
   return documents.map((document) => levelPicture(document, engine)).map(({ display, poses }) => ({ display, poses }));
 }"""
 WRITE = """async (texts) => {
-  const { documentText } = await import(new URL("static/editor/document.js", location.href));
+  const { documentText } = await moduleOf("editor/document.js");
   return texts.map((text) => documentText(JSON.parse(text)));
 }"""
 
 
 WHEELS = """async (documents) => {
-  const { wheelOf } = await import(new URL("static/editor/motors.js", location.href));
+  const { wheelOf } = await moduleOf("editor/motors.js");
   return documents.map((document) => (document.joints ?? []).map((joint) => wheelOf(document, joint)));
 }"""
 
@@ -131,7 +131,7 @@ def shortest(number: str) -> float | int:
 
 
 GESTURES = """async ([start, engine, count, seed]) => {
-  const from = (name) => import(new URL(`static/editor/${name}.js`, location.href));
+  const from = (name) => moduleOf(`editor/${name}.js`);
   const [{ Editor }, { TOOLS }, { COMMANDS }, { documentText }] = await Promise.all(
     ["state", "tools", "commands", "document"].map(from));
   let state = seed;

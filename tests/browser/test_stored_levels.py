@@ -18,7 +18,7 @@ from tests.studio.serving import Server
 
 NUM_STEPS, INDEX = 10, 3
 RECORD = """async () => {
-  const { channel } = await import(new URL("base/channel.js", document.querySelector("script[type=module]").src));
+  const { channel } = await moduleOf("base/channel.js");
   const [[, session]] = channel.sessions;
   const show = session.frame;
   window.frames_of_play = {};
