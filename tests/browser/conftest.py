@@ -25,7 +25,7 @@ FOUND = {browser.kind: browser for browser in found_browsers()}
 # `make test` takes one, `make test-long` the other too.
 KINDS = [pytest.param(kind, marks=[pytest.mark.long] if number else []) for number, kind in enumerate(FOUND)]
 TIMEOUT_MS = 1000 * PATIENCE_S
-# moduleOf("base/channel.js"): the page's own copy. Its scripts are served below a path with their hash, and a browser that
+# moduleOf("base/channel.js"): the page's own copy. Scripts are served below a path with their hash, and a browser that
 # imports one from another path gets a second copy, whose channel is never connected.
 MODULE_OF = """window.moduleOf = (name) => import(new URL(name, document.querySelector("script[type=module]").src))"""
 TRAINED_VARIABLE = "KINETIX_TRAINED_RUNS"
