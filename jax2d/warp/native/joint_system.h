@@ -239,6 +239,11 @@ struct JointSystem {
   KFN static void add(unsigned int* joints, int k) { Bits::add(joints, JOINT_WORDS, k); }
   KFN static void remove(unsigned int* joints, int k) { Bits::remove(joints, JOINT_WORDS, k); }
   KFN static void clear(unsigned int* joints) { Bits::clear(joints, JOINT_WORDS); }
+  KFN static bool has_all(const unsigned int* joints, const unsigned int* others) {
+    unsigned int missing = 0u;
+    for (int word = 0; word < JOINT_WORDS; ++word) missing |= others[word] & ~joints[word];
+    return missing == 0u;
+  }
   KFN static void add_all(unsigned int* joints, const unsigned int* others) {
     for (int word = 0; word < JOINT_WORDS; ++word) joints[word] |= others[word];
   }
