@@ -70,57 +70,82 @@ struct Block {
   }
 };
 
-// Rows of a joint as its bodies stand: speeds of b seen from a along directions, by lever arms about both centres.
+// Rows of a joint as its bodies stand: speeds of b seen from a along two directions at the common point, and about it. Of a
+// hinge or weld they are those of the world, and the third row is the turn: that of a motor, limits or a weld. Of a slider they
+// are across and along its axis, and the third row is that along it.
 struct JointRows {
-  Vec2 first, second, along;  // directions; zero of what turns. `along`: the angle of a weld, the axis of motor and limits
-  real first_a, first_b, second_a, second_b, along_a, along_b;  // levers
-  real third;    // 1 where the row `along` is held
-  real is_weld;  // 1 where it yields; under a load a motor would creep
+  Vec2 levers_a, levers_b;  // about both centres, of the two directions
+  Vec2 axis;       // of a slider
+  bool is_slider;  // known when compiled, where there are none
+  real third;      // 1 where the third row is held
+  real is_weld;    // 1 where it yields; under a load a motor would creep
 
-  KFN static real speed_of(const Pair& pair, Vec2 direction, real lever_a, real lever_b) {
-    real linear = direction.dot(pair.velocity_b - pair.velocity_a);
-    return Fused::of(-lever_a, pair.omega_a, Fused::of(lever_b, pair.omega_b, linear));
+  // From lever arms about both centres to the common point.
+  KFN static JointRows of(Vec2 a, Vec2 b, real third, real is_weld) {
+    return {{-a.y, a.x}, {-b.y, b.x}, {real(0), real(0)}, false, third, is_weld};
   }
-  KFN real axial_speed(const Pair& pair) const { return speed_of(pair, along, along_a, along_b); }
+  KFN static JointRows of_slider(Vec2 a, Vec2 b, Vec2 axis, real third) {
+    Vec2 across = axis.left();
+    return {{a.cross(across), a.cross(axis)}, {b.cross(across), b.cross(axis)}, axis, true, third, real(0)};
+  }
+
+  // A vector of the world along the two directions, and back.
+  KFN Vec2 along(Vec2 v) const { return is_slider ? Vec2{axis.left().dot(v), axis.dot(v)} : v; }
+  KFN Vec2 of_world(Vec2 v) const { return is_slider ? (axis.left() * v.x).plus(axis, v.y) : v; }
+  // Two directions and a turn in the order of the rows, and rows as these.
+  KFN Vec3 ordered(Vec2 v, real turn) const {
+    if (is_slider) return {v.x, turn, HELD_ROWS > 2 ? v.y : real(0)};
+    return {v.x, v.y, HELD_ROWS > 2 ? turn : real(0)};
+  }
+
+  KFN static real turning(const Pair& pair) { return pair.omega_b - pair.omega_a; }
+  KFN Vec2 at_point(const Pair& pair) const {
+    Vec2 v = along(pair.velocity_b - pair.velocity_a);
+    return {Fused::of(-levers_a.x, pair.omega_a, Fused::of(levers_b.x, pair.omega_b, v.x)),
+            Fused::of(-levers_a.y, pair.omega_a, Fused::of(levers_b.y, pair.omega_b, v.y))};
+  }
+  KFN real axial_speed(const Pair& pair) const { return is_slider ? at_point(pair).y : turning(pair); }
   KFN Vec3 speeds(const Pair& pair) const {
-    return {speed_of(pair, first, first_a, first_b), speed_of(pair, second, second_a, second_b),
-            HELD_ROWS > 2 ? third * axial_speed(pair) : real(0)};
+    Vec3 all = ordered(at_point(pair), turning(pair));
+    return {all.x, all.y, third * all.z};
   }
 
   KFN void push(Pair& pair, Vec3 impulse) const {
-    Vec2 linear = Vec2{real(0), real(0)}.plus(first, impulse.x).plus(second, impulse.y);
-    real angular_a = Fused::of(first_a, impulse.x, second_a * impulse.y);
-    real angular_b = Fused::of(first_b, impulse.x, second_b * impulse.y);
-    if (HELD_ROWS > 2) {
-      linear = linear.plus(along, impulse.z);
-      angular_a = Fused::of(along_a, impulse.z, angular_a);
-      angular_b = Fused::of(along_b, impulse.z, angular_b);
+    Vec2 linear = {impulse.x, is_slider ? impulse.z : impulse.y};
+    real turn = is_slider ? impulse.y : impulse.z;
+    real angular_a = Fused::of(levers_a.x, linear.x, levers_a.y * linear.y);
+    real angular_b = Fused::of(levers_b.x, linear.x, levers_b.y * linear.y);
+    if (HELD_ROWS > 2 || is_slider) {
+      angular_a += turn;
+      angular_b += turn;
     }
-    pair.apply_levers(linear, angular_a, angular_b);
+    pair.apply_levers(of_world(linear), angular_a, angular_b);
   }
 
-  KFN static real moved(const Pair& pair, Vec2 d, Vec2 e, real da, real ea, real db, real eb) {
-    real linear = (pair.inverse_mass_a + pair.inverse_mass_b) * d.dot(e);
+  KFN static real moved(const Pair& pair, real da, real ea, real db, real eb, real linear) {
     return Fused::of(pair.inverse_inertia_a * da, ea, Fused::of(pair.inverse_inertia_b * db, eb, linear));
   }
-  KFN real axial(const Pair& pair) const { return moved(pair, along, along, along_a, along_a, along_b, along_b); }
+  KFN real axial(const Pair& pair) const {
+    if (!is_slider) return pair.inverse_inertia_a + pair.inverse_inertia_b;
+    return moved(pair, levers_a.y, levers_a.y, levers_b.y, levers_b.y, pair.inverse_mass_a + pair.inverse_mass_b);
+  }
 
   // What impulses of the rows change of their speeds, and by how much they yield.
   KFN Symmetric3 held(const Pair& pair) const {
-    real none = real(0);
-    bool holds_third = HELD_ROWS > 2 && third != none;
-    Symmetric3 m = {moved(pair, first, first, first_a, first_a, first_b, first_b),
-                    moved(pair, first, second, first_a, second_a, first_b, second_b),
-                    holds_third ? moved(pair, first, along, first_a, along_a, first_b, along_b) : none,
-                    moved(pair, second, second, second_a, second_a, second_b, second_b),
-                    holds_third ? moved(pair, second, along, second_a, along_a, second_b, along_b) : none,
-                    holds_third ? axial(pair) : none};
+    real none = real(0), mass = pair.inverse_mass_a + pair.inverse_mass_b;
+    real xx = moved(pair, levers_a.x, levers_a.x, levers_b.x, levers_b.x, mass);
+    real xy = moved(pair, levers_a.x, levers_a.y, levers_b.x, levers_b.y, none);
+    real yy = moved(pair, levers_a.y, levers_a.y, levers_b.y, levers_b.y, mass);
+    Vec2 turned = (levers_a * pair.inverse_inertia_a).plus(levers_b, pair.inverse_inertia_b);
+    real turn = pair.inverse_inertia_a + pair.inverse_inertia_b;
+    Symmetric3 m = {xx, xy, turned.x, yy, turned.y, turn};
+    if (is_slider) m = {xx, turned.x, xy, turn, turned.y, yy};
+    if (HELD_ROWS == 2 || third == none) m.xz = m.yz = m.zz = none;
     Vec3 more = yielding(pair, {real(1), real(1), real(1)});
-    real rounding = JOINT_ROUNDING * (m.xx + (is_slider() ? real(0) : m.yy));
-    return {with(m.xx, more.x + rounding), m.xy, m.xz, with(m.yy, more.y + (is_slider() ? JOINT_ROUNDING * m.yy : rounding)),
+    real rounding = JOINT_ROUNDING * (m.xx + (is_slider ? none : m.yy));
+    return {with(m.xx, more.x + rounding), m.xy, m.xz, with(m.yy, more.y + (is_slider ? JOINT_ROUNDING * m.yy : rounding)),
             m.yz, with(m.zz, more.z + JOINT_ROUNDING * m.zz)};
   }
-  KFN bool is_slider() const { return HAS_PRISMATIC_JOINTS && second.x == real(0) && second.y == real(0); }
   // A row that nothing can move, or that is not held, has no impulse.
   KFN static real with(real diagonal, real more) { return diagonal > real(0) ? diagonal + more : FAR_DISTANCE; }
 
@@ -128,30 +153,40 @@ struct JointRows {
   KFN Vec3 yielding(const Pair& pair, Vec3 impulse) const {
     real mass = JOINT_COMPLIANCE * (pair.inverse_mass_a + pair.inverse_mass_b);
     real turned = JOINT_COMPLIANCE * (pair.inverse_inertia_a + pair.inverse_inertia_b);
-    return {mass * impulse.x, (is_slider() ? turned : mass) * impulse.y,
+    return {mass * impulse.x, (is_slider ? turned : mass) * impulse.y,
             HELD_ROWS > 2 ? is_weld * turned * impulse.z : real(0)};
   }
 };
 
 // One side of two joints' rows at a body that they share: what impulses of the one change of the other.
 struct JointSide {
-  Vec2 first, second, along;
-  real first_lever, second_lever, along_lever, third;
+  const JointRows& rows;
+  Vec2 levers;
+  real sign;  // b is pushed by what the rows say, a by its opposite
 
-  KFN static JointSide of(const JointRows& r, bool is_b) {
-    return is_b ? JointSide{r.first, r.second, r.along, r.first_b, r.second_b, r.along_b, r.third}
-                : JointSide{-r.first, -r.second, -r.along, -r.first_a, -r.second_a, -r.along_a, r.third};
+  KFN static JointSide of(const JointRows& rows, bool is_b) {
+    return {rows, is_b ? rows.levers_b : -rows.levers_a, is_b ? real(1) : real(-1)};
   }
-  KFN Vec3 moved(Vec2 d, real lever, real inverse_mass, real inverse_inertia) const {
-    real turned = inverse_inertia * lever;
-    return {Fused::of(turned, first_lever, inverse_mass * d.dot(first)),
-            Fused::of(turned, second_lever, inverse_mass * d.dot(second)),
-            HELD_ROWS > 2 ? third * Fused::of(turned, along_lever, inverse_mass * d.dot(along)) : real(0)};
+  // What impulses of the other's rows change of this one's speed along one of its directions, which in the other's are
+  // `cosines`; of its turn, where these are zero.
+  KFN Vec3 moved(Vec2 cosines, real lever, const JointSide& o, real mass, real inertia) const {
+    real turned = inertia * lever;
+    Vec3 all = o.rows.ordered({Fused::of(turned, o.levers.x, mass * cosines.x), Fused::of(turned, o.levers.y, mass * cosines.y)},
+                              turned * o.sign);
+    return {all.x, all.y, o.rows.third * all.z};
   }
   KFN void add_coupling(Block& block, const JointSide& o, real mass, real inertia) const {
-    block.x = block.x.plus(o.moved(first, first_lever, mass, inertia), real(1));
-    block.y = block.y.plus(o.moved(second, second_lever, mass, inertia), real(1));
-    if (HELD_ROWS > 2) block.z = block.z.plus(o.moved(along, along_lever, mass, inertia), third);
+    real none = real(0), same = sign * o.sign;
+    Vec2 first = {same, none}, second = {none, same};
+    if (rows.is_slider || o.rows.is_slider) {
+      first = o.rows.along(rows.of_world(first));
+      second = o.rows.along(rows.of_world(second));
+    }
+    Vec3 x = moved(first, levers.x, o, mass, inertia), y = moved(second, levers.y, o, mass, inertia);
+    Vec3 turn = HELD_ROWS > 2 || rows.is_slider ? moved({none, none}, sign, o, mass, inertia) : Vec3{none, none, none};
+    block.x = block.x.plus(x, real(1));
+    block.y = block.y.plus(rows.is_slider ? turn : y, real(1));
+    if (HELD_ROWS > 2) block.z = block.z.plus(rows.is_slider ? y : turn, rows.third);
   }
 };
 

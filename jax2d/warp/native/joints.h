@@ -161,13 +161,8 @@ struct Joints {
     const Joint& joint = list[k];
     real none = real(0), one = real(1), is_weld = joint.is_fixed() ? one : none, third = is_weld;
     if (HAS_AXES && joint.has_axial_row()) third = system.axial[k].holds != AxialRow::NOTHING ? one : none;
-    Vec2 a = joint.common_a, b = joint.common_b;
-    if (!joint.is_prismatic()) return {{one, none}, {none, one}, {none, none}, -a.y, -b.y, a.x, b.x, one, one, third, is_weld};
-    Vec2 along = axis[k], across = along.left();
-    JointRows rows = {across, {none, none}, along, a.cross(across), b.cross(across), one, one, none, none, third, none};
-    rows.along_a = a.cross(along);
-    rows.along_b = b.cross(along);
-    return rows;
+    if (joint.is_prismatic()) return JointRows::of_slider(joint.common_a, joint.common_b, axis[k], third);
+    return JointRows::of(joint.common_a, joint.common_b, third, is_weld);
   }
 
   // Of a sub-step. Joints need no warm start: they are solved directly.
