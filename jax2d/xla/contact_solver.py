@@ -293,6 +293,9 @@ def solve_impact(of: PairVelocities, impact: Impact) -> tuple[PairVelocities, Im
     k = knn + side * knt
     sliding = jnp.where((closing > 0) & (k > 0), closing / jnp.where(k > 0, k, 1), 0)
     n, t = jnp.where(slides, sliding, n), jnp.where(slides, side * sliding, t)
+    # Friction could hold what opens by itself (Painleve's paradox): it has no impulse.
+    opens = (c.impulse_normal == 0) & (c.impulse_tangent == 0) & (vn >= 0)
+    n, t = jnp.where(opens, 0, n), jnp.where(opens, 0, t)
     added_n, added_t = n - c.impulse_normal, t - c.impulse_tangent
     pushed = added_n * by_n + added_t * by_t
     of = jax.tree.map(jnp.add, of, answered(pushed))

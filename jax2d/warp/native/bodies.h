@@ -196,11 +196,11 @@ struct Bodies {
 
   KFN bool is_slowed(int a, int b) const { return has(slowed, a) || has(slowed, b); }
 
-  // Semi-implicit Euler: position from the velocity just solved.
+  // Semi-implicit Euler: position from the velocity just solved, which World::slow_down has limited.
   KFN void move(const unsigned int* which, real dt, real max_speed, real max_omega) {
     for (Each each = Each::of(which); each.next();) {
       int i = each.shape;
-      limit_speed(i, max_speed, max_omega);
+      if (!SOFT_STEP) limit_speed(i, max_speed, max_omega);
       set_delta(i, delta(i).plus(velocity(i), dt));
       real angle_step = omega(i) * dt;
       at(i, TURN) += angle_step;

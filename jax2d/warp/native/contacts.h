@@ -343,16 +343,20 @@ struct Contacts {
 
   KFN static real current_separation(const Bodies& bodies, const Contact& c, Vec2 moved) {
     // Surfaces move and turn with their bodies; the normal stays as it was at the start of the step.
-    real ta = turn_of_a(bodies, c), tb = turn_of_b(bodies, c);
-    Vec2 arm_a = (c.arm_a.left() * sinf_small(ta)).minus(c.arm_a, one_minus_cos_small(ta));
-    Vec2 arm_b = (c.arm_b.left() * sinf_small(tb)).minus(c.arm_b, one_minus_cos_small(tb));
-    return c.separation + (moved + arm_b - arm_a).dot(c.normal);
+    Vec2 apart = moved;
+    if (bodies.moves(c.b)) apart = apart + swung(c.arm_b, turn_of_b(bodies, c));
+    if (bodies.moves(c.a)) apart = apart - swung(c.arm_a, turn_of_a(bodies, c));
+    return c.separation + apart.dot(c.normal);
   }
   // On a face the point of a disc stays below its centre, and those of two discs between their centres: turned with one
   // that rolls it would rise, and the disc sink.
   KFN static real turn_of_a(const Bodies& bodies, const Contact& c) { return are_discs(c.a) ? real(0) : bodies.turn(c.a); }
   KFN static real turn_of_b(const Bodies& bodies, const Contact& c) {
     return c.disc_on_face || are_discs(c.a) ? real(0) : bodies.turn(c.b);
+  }
+  // What turning an arm adds to it.
+  KFN static Vec2 swung(Vec2 arm, real turn) {
+    return (arm.left() * sinf_small(turn)).minus(arm, one_minus_cos_small(turn));
   }
   // Within a step bodies turn by less than a radian: series with errors below 3e-6 (sine) and 3e-5 (cosine).
   KFN static real sinf_small(real t) {
@@ -467,8 +471,8 @@ struct Contacts {
   };
 
   // Solves an impact. What is jointed to its bodies answers at once: first to an impulse of 1 along the normal and the tangent,
-  // unless it is known what these move, then to that of the impact. What comes apart by itself has none. Returns by how much
-  // (m/s) it changed a speed.
+  // unless it is known what these move, then to that of the impact. What opens by itself has none, though friction could hold it
+  // (Painleve's paradox). Returns by how much (m/s) it changed a speed.
   KFN real solve_impact(Bodies& bodies, Joints& joints, const Soft& soft, Pair& pair, Contact& c, const Impact& impact,
                         Response& moves) {
     Vec2 tangent = c.normal.right(), added = {real(0), real(0)}, v = pair.relative(impact.arms.a, impact.arms.b);

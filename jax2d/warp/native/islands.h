@@ -162,9 +162,13 @@ struct Islands {
   // there are any.
   KFN bool find_gains(const Bodies& bodies, const Contacts& contacts, const Joints& joints, real h, real spare,
                       bool again, unsigned int* gaining) {
+    unsigned int held[SHAPE_WORDS];  // a bit an island, at its first body: a contact holds it
+    Bodies::clear(held);
+    for (int k = 0; k < contacts.count; ++k) Bodies::add(held, of(bodies, contacts.list[k].a, contacts.list[k].b));
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) gain[each.shape] = real(0);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
+      if (!Bodies::has(held, first[i])) continue;
       real before = kinetic_energy(bodies, i, velocity[i], omega[i]) * (real(1) + h * SLACK_RATE);
       real slack = (h * SLACK_POWER + spare) * bodies.mass(i);
       gain[first[i]] += kinetic_energy(bodies, i, bodies.velocity(i), bodies.omega(i)) - before - slack;
@@ -177,13 +181,8 @@ struct Islands {
       any |= gain[i] > real(0);
     }
     if (!any) return false;
-    unsigned int held[SHAPE_WORDS];  // a bit an island, at its first body: a contact holds it
-    Bodies::clear(held);
-    for (int k = 0; k < contacts.count; ++k) {
-      int island = of(bodies, contacts.list[k].a, contacts.list[k].b);
-      Bodies::add(held, island);
-      gain[island] -= contacts.surface_work(bodies, k, h);
-    }
+    for (int k = 0; k < contacts.count; ++k)
+      gain[of(bodies, contacts.list[k].a, contacts.list[k].b)] -= contacts.surface_work(bodies, k, h);
     for (int k = 0; k < joints.count; ++k) {
       int island = of(bodies, joints.list[k].a, joints.list[k].b);
       gain[island] -= joints.motor_work(bodies, k) + joints.kinematic_work(bodies, k);
@@ -197,7 +196,7 @@ struct Islands {
     any = false;
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
-      if (gain[first[i]] <= real(0) || !Bodies::has(held, first[i]) || (again && !Bodies::has(gaining, i))) continue;
+      if (gain[first[i]] <= real(0) || (again && !Bodies::has(gaining, i))) continue;
       Bodies::add(found, i);
       any = true;
     }

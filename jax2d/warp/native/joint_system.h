@@ -334,7 +334,7 @@ struct JointSystem {
   KFN void eliminate(const unsigned int* which, bool is_new) {
     for (EachJoint k = EachJoint::of(which); k.next();) {
       Symmetric3 factor = is_new ? diagonal[k.joint].factored() : diagonal[k.joint];
-      diagonal[k.joint] = factor;
+      if (is_new) diagonal[k.joint] = factor;
       Vec3 own = factor.solve(x[k.joint]);
       x[k.joint] = own;
       for (EachJoint i = EachJoint::of(after_of(k.joint)); i.next();) {
