@@ -15,7 +15,7 @@ NOTHING, MOTOR, LOWER, UPPER = range(4)  # what holds the speed along an axis
 
 
 class AxialRows(NamedTuple):
-    """Of J joints in one sub-step; holds, impulse and is_still change while they are solved."""
+    """Axial rows of J joints in one sub-step; holds, impulse and is_still change while they are solved."""
 
     lowest: jax.Array  # [J] speeds that the limits allow
     highest: jax.Array

@@ -67,7 +67,7 @@ def load(scene: Scene, state: State) -> Bodies:
 
 
 def end_step(bodies: Bodies, which: jax.Array | None = None) -> Bodies:
-    """Of the bodies of `which` [n] bool, or all."""
+    """Bodies of `which` [n] bool, or all."""
     if which is None:
         which = jnp.ones(bodies.angle.shape, bool)
     angle = bodies.angle + bodies.turn

@@ -424,14 +424,14 @@ def with_changed_impulses(joints: Joints, impulses: jax.Array) -> Joints:
 
 
 class Answers(NamedTuple):
-    """What joints answer to changes of the velocities of their bodies, so that their rows keep their speeds."""
+    """Answers of joints to changes of their bodies' velocities, so that their rows keep their speeds."""
 
     impulses: jax.Array  # [3J, 3n] of rows, for a change of one
     moved: jax.Array  # [3n, 3n] changes of velocities by them
 
 
 def answers(bodies: Bodies, joints: Joints, placed: PlacedJoints, pushed: jax.Array) -> Answers:
-    """Of what is jointed to bodies of `pushed` [n] bool; zeros in a world that has none of it."""
+    """Answers of the joints of bodies of `pushed` [n] bool; zeros in a world without such joints."""
     system, dtype, n = placed.system, bodies.angle.dtype, bodies.angle.shape[0]
     none = Answers(jnp.zeros((system.rows.shape[0], 3 * n), dtype), jnp.zeros((3 * n, 3 * n), dtype))
     if joints.is_held.shape[0] == 0:
@@ -527,7 +527,7 @@ def chord(arm: jax.Array, turn: jax.Array) -> jax.Array:
 def begin_axes(
     bodies: Bodies, joints: Joints, placed: PlacedJoints, params: SolverNumbers, *, use_bias: bool
 ) -> AxialRows:
-    """What drives and bounds the joints along their axes in this sub-step, with what they held at last."""
+    """Motors and limits of the joints in this sub-step, with what they held at last."""
     now, system = placed
     return_speed = jnp.where(joints.is_prismatic, params.joint_pull_speed, params.joint_turn_speed)
 

@@ -298,11 +298,11 @@ def _solve_passes(
         solved = islands.whole(now.active.now)
         bodies, slowed = bodies_of.limit_speeds(bodies, params.max_speed, params.max_angular_speed, solved)
         is_solved_again = index < C.limited_passes
-        anew = islands.whole(slowed) & touching & is_solved_again
+        again = islands.whole(slowed) & touching & is_solved_again
         spins = jnp.abs(bodies.velocities.omega) >= params.max_angular_speed
         held = now.held | (slowed & jointed & spins & is_solved_again)
-        shared &= ~anew
-        return Pass(bodies, joints, contacts, ActiveSet(shared | anew, shared), held)
+        shared &= ~again
+        return Pass(bodies, joints, contacts, ActiveSet(shared | again, shared), held)
 
     def one_pass(now: Pass, index: jax.Array) -> tuple[Pass, None]:
         follows = jnp.any(now.active.now)

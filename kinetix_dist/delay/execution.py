@@ -150,7 +150,7 @@ def some_play(play: Play) -> Array:
 
 
 def rest_of(chunk: Array, schedule: Schedule) -> Array:
-    """What is left of a chunk [W, H, A] after a segment, zeros behind."""
+    """Rest of a chunk [W, H, A] after a segment, zeros behind."""
     index = jnp.arange(chunk.shape[1]) + schedule.execute
     rest = jnp.take(chunk, jnp.minimum(index, chunk.shape[1] - 1), axis=1)
     return jnp.where((index < schedule.horizon)[:, None], rest, 0.0)

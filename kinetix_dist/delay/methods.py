@@ -26,7 +26,7 @@ from kinetix_dist.delay.guidance import MAX_GUIDANCE, guided, soft_weights
 
 
 class Plan(NamedTuple):
-    """What is left of the chunk before, of W worlds. Numbers may be traced."""
+    """Rest of the chunk before, of W worlds. Numbers may be traced."""
 
     chunk: Array  # [W, H, A] in -1..1; the first action is due now
     delay: Array | int  # so many of its actions are executed until the next chunk is there
@@ -34,7 +34,7 @@ class Plan(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a method decides from, of W worlds."""
+    """Inputs of a method, of W worlds."""
 
     obs: Any  # joined, [W, ...], from when the computation begins
     bound: Array  # [W, A] bool

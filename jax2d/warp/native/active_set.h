@@ -34,14 +34,14 @@ struct ActiveSet {
     if (change.dot(change) > SETTLED_SPEED * SETTLED_SPEED) mark(bodies, pair.a, pair.b);
   }
 
-  // Whether another pass is called for: over what was marked, if impacts are shared out further, and over `anew`, whole
+  // Whether another pass is called for: over what was marked, if impacts are shared out further, and over `again`, whole
   // islands that are solved as if for the first time.
-  KFN bool repeat(bool shares_further, const unsigned int* anew) {
+  KFN bool repeat(bool shares_further, const unsigned int* again) {
     bool any = false;
     for (int word = 0; word < SHAPE_WORDS; ++word) {
-      now[word] = anew[word];
+      now[word] = again[word];
       if (SHARES_IMPACTS) {
-        moved[word] = shares_further ? next[word] & ~anew[word] : 0u;
+        moved[word] = shares_further ? next[word] & ~again[word] : 0u;
         next[word] = 0u;
         now[word] |= moved[word];
       }

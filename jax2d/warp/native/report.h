@@ -36,7 +36,7 @@ struct Report {
     }
   }
 
-  // All warm-start impulses act anew.
+  // All warm-start impulses act again.
   KFN void warm_start(const Contacts& contacts) {
     for (int i = 0; i < contacts.count; ++i) acted[i] = {real(0), real(0)};
   }

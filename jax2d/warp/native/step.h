@@ -146,15 +146,15 @@ struct World {
     bodies.end_step(bodies.moving);
   }
 
-  // Limits speeds of bodies that have just been solved. `anew`: islands of those that this slows down, with contacts or
+  // Limits speeds of bodies that have just been solved. `again`: islands of those that this slows down, with contacts or
   // joints that have a say in it; True if there are any. What is jointed keeps its spin at the limit until it is solved: what
   // is heavier and turns it faster gives way, or joints would come apart.
-  KFN bool slow_down(const unsigned int* solved, bool looks, unsigned int* anew) {
-    Bodies::clear(anew);
+  KFN bool slow_down(const unsigned int* solved, bool looks, unsigned int* again) {
+    Bodies::clear(again);
     bool any = false;
     for (Bodies::Each each = Bodies::Each::of(solved); each.next();) {
       if (!bodies.limit_speed(each.shape, params.get(PARAM_MAX_SPEED), params.get(PARAM_MAX_ANGULAR_SPEED)) || !looks) continue;
-      Bodies::add(anew, each.shape);
+      Bodies::add(again, each.shape);
       any = true;
     }
     if (!any) return false;
@@ -162,14 +162,14 @@ struct World {
     Bodies::clear(touching);
     for (int k = 0; k < joints.count; ++k) bodies.add_dynamic(touching, joints.list[k].a, joints.list[k].b);
     for (Bodies::Each each = Bodies::Each::of(touching); each.next();)
-      if (Bodies::has(anew, each.shape)) bodies.hold_spin(each.shape, params.get(PARAM_MAX_ANGULAR_SPEED));
+      if (Bodies::has(again, each.shape)) bodies.hold_spin(each.shape, params.get(PARAM_MAX_ANGULAR_SPEED));
     for (int k = 0; k < contacts.count; ++k) bodies.add_dynamic(touching, contacts.list[k].a, contacts.list[k].b);
     islands.complete(bodies, touching);
-    islands.complete(bodies, anew);
+    islands.complete(bodies, again);
     any = false;
     for (int word = 0; word < SHAPE_WORDS; ++word) {
-      anew[word] &= touching[word];
-      any |= anew[word] != 0u;
+      again[word] &= touching[word];
+      any |= again[word] != 0u;
     }
     return any;
   }
@@ -202,10 +202,10 @@ struct World {
       if (use_bias) {
         is_second = !is_second;
         if (is_second) continue;
-        unsigned int anew[SHAPE_WORDS];
-        bool is_slowed = slow_down(passed, passes < LIMITED_PASSES, anew);
+        unsigned int again[SHAPE_WORDS];
+        bool is_slowed = slow_down(passed, passes < LIMITED_PASSES, again);
         if (!SHARES_IMPACTS && !is_slowed) break;
-        if (!contacts.active.repeat(passes++ < max_passes, anew)) break;
+        if (!contacts.active.repeat(passes++ < max_passes, again)) break;
         Bodies::copy(passed, contacts.active.now);
         islands.complete(bodies, passed);
         continue;

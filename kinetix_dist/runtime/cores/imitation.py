@@ -105,7 +105,7 @@ def imitate(
 
 
 class Best:
-    """What was kept with the highest score, the first of equals."""
+    """Candidate with the highest score, the first of equals."""
 
     def __init__(self, patience: int) -> None:
         self.kept: Any = None

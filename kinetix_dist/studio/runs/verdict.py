@@ -83,7 +83,7 @@ class Verdict:
 
     @property
     def state(self) -> str:
-        """Of statements."""
+        """State of a statement by the same outcome."""
         return STATES[self.outcome]
 
     def to_json(self) -> dict[str, Any]:

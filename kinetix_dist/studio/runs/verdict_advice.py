@@ -135,7 +135,7 @@ def next_step(outcome: str, evidence: Evidence) -> NextStep:
 
 
 def _after_an_end(evidence: Evidence) -> NextStep:
-    """Of a run that failed or fell silent."""
+    """Next step of a run that failed or fell silent."""
     failed = evidence.status.state == FAILED
     first = f"mend what ended it ({evidence.status.text})" if failed else "look whether its process is still there"
     if not checkpoints_of(evidence.path):
@@ -217,7 +217,7 @@ def _after_a_loss(evidence: Evidence) -> NextStep:
 
 
 def _better_labels(evidence: Evidence) -> NextStep | None:
-    """Where labels of the buffer do not hold."""
+    """Next step where labels of the buffer do not hold."""
     found, claim = evidence.learnability, evidence.statement("claim")
     if found is None or claim is None or claim.state != BAD:
         return None
@@ -246,7 +246,7 @@ def _bottleneck(evidence: Evidence) -> NextStep | None:
 
 
 def _more_learnable(evidence: Evidence) -> NextStep | None:
-    """Where the buffer offers less than fresh levels, or less than it did."""
+    """Next step where the buffer offers less than fresh levels, or less than it did."""
     found, statement = evidence.learnability, evidence.statement("learnability")
     if found is None or found.measured is None or statement is None:
         return None
@@ -267,7 +267,7 @@ def _more_learnable(evidence: Evidence) -> NextStep | None:
 
 
 def _not_shown(evidence: Evidence) -> NextStep:
-    """Where no held-out set rose by more than chance, and nothing else is wrong."""
+    """Next step where no held-out set rose by more than chance, and nothing else is wrong."""
     if (going_on := _still_rising(evidence)) is not None:
         return going_on
     share = _share_done(evidence)
@@ -301,7 +301,7 @@ def _not_shown(evidence: Evidence) -> NextStep:
 
 
 def _further(evidence: Evidence) -> NextStep:
-    """Where the run works."""
+    """Next step of a run that works."""
     if (going_on := _still_rising(evidence)) is not None:
         return going_on
     if not evidence.status.is_over:
@@ -339,6 +339,6 @@ def _still_rising(evidence: Evidence) -> NextStep | None:
 
 
 def _share_done(evidence: Evidence) -> float | None:
-    """Of its env steps; None where the run ends by something else."""
+    """Share of its env steps that a run has made; None where it ends by something else."""
     total, done = evidence.value("run.total_env_steps"), evidence.table.known("progress/env_steps")
     return float(np.clip(done[-1] / total, 0, 1)) if total and len(done) else None

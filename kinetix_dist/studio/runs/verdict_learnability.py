@@ -35,7 +35,7 @@ PANEL = "Learnability"  # of page Curriculum
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Learnability:
-    """Of the newest buffer that training has played enough; fields are None where they are unknown."""
+    """Learnability of the newest buffer that training has played enough; fields are None where they are unknown."""
 
     number: int  # of its refresh
     num_levels: int
@@ -117,7 +117,8 @@ def _describe(snapshot: Snapshot, windows: Sequence[Mapping[str, Any]], table: S
 
 
 def _first_plays(own: Sequence[Mapping[str, Any]], number: int) -> Estimate | None:
-    """Of the first windows of a buffer in which enough of its levels were played twice or more; None: so far too few."""
+    """Estimate from the first windows of a buffer in which enough of its levels were played twice or more; None: so far
+    too few."""
     plays: Plays | None = None
     for row in own:
         window = training_plays([row])[number]
@@ -203,7 +204,7 @@ def claim_statement(found: Learnability) -> Statement:
 
 
 def no_buffer_statement(windows: Sequence[Mapping[str, Any]], sentence: str) -> Statement:
-    """Of a run without refreshes. sentence: why it has none, or when the first comes."""
+    """Statement of a run without refreshes. sentence: why it has none, or when the first comes."""
     fresh = learnability_of_pairs(windows[-RECENT_WINDOWS:])
     return Statement(
         key="learnability",

@@ -174,7 +174,7 @@ def _part_of_counts(first: int, last: int, solved: int, attempts: int, *, z: flo
 
 
 def _trend_of_rows(table: SeriesTable, start: int) -> Trend | None:
-    """Of a run without counts: means of rows, with intervals over rows."""
+    """Trend of a run without counts: means of rows, with intervals over rows."""
     updates, rates = table.column("update"), table.column("train/solve_rate")
     is_known = ~np.isnan(rates) & (updates > start)
     updates, rates = updates[is_known], rates[is_known]

@@ -85,7 +85,7 @@ class VerdictSummaries:
         self._task: asyncio.Task[None] | None = None
 
     async def of(self, rows: Sequence[Mapping[str, Any]]) -> list[Summary | None]:
-        """What is known of the runs of a table (rows of `run_index.summary`); None: not judged yet."""
+        """Summaries of the runs of a table (rows of `run_index.summary`); None: not judged yet."""
         stamps = await asyncio.to_thread(lambda: [(Path(row["path"]), _stamp(row)) for row in rows])
         now = time.monotonic()
         found = [(path, stamp, self._judged.get(path)) for path, stamp in stamps]

@@ -97,7 +97,7 @@ class RolloutWriter:
             self._writer.add_message(channel, log_time=time, data=message, publish_time=time, sequence=step)
 
     def _end_chunk(self) -> None:
-        """What comes next is in another chunk; nothing is written to the disk yet."""
+        """Begins another chunk; nothing is written to the disk yet."""
         with self._file.held():
             self._writer.flush()
 
