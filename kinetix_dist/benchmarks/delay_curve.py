@@ -10,7 +10,6 @@ and figures.
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -31,6 +30,7 @@ from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.evaluate import Episodes
 from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.number_ranges import numbers_in
 
 MAX_DELAY = 1000
 PICTURES = (".png", ".svg", ".pdf")
@@ -82,16 +82,7 @@ class Options:
 
 def delays_of(words: Sequence[str]) -> list[int]:
     """[0, 1, 2, 3] of "0..3", or of "0 1 2 3". Raises ValueError."""
-    found: set[int] = set()
-    for word in words:
-        match = re.fullmatch(r"(\d+)(?:\.\.(\d+))?", word)
-        first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, -1)
-        if not first <= last <= MAX_DELAY:
-            raise ValueError(f"--delays has {word!r}; give numbers of steps such as 0..8, up to {MAX_DELAY}")
-        found |= set(range(first, last + 1))
-    if not found:
-        raise ValueError("--delays is empty")
-    return sorted(found)
+    return numbers_in(words, "--delays", most=MAX_DELAY)
 
 
 def measure(options: Options, results: Results) -> None:
