@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -151,6 +152,7 @@ class StoredSpecialists:
     """Specialists of levels, which play them together as one policy."""
 
     path: Path
+    min_rate: float
     by_level: tuple[tuple[StoredSpecialist, ...], ...]  # [L]; those of a level take turns
     left_out: tuple[str, ...]  # a line for each seed below the rate
 
@@ -158,6 +160,24 @@ class StoredSpecialists:
     def first(self) -> Trained:
         """One of them: environment and network are those of all."""
         return self.by_level[0][0].trained
+
+    @property
+    def description(self) -> Record:
+        """Policy of the manifest of a data set, where those of a level take turns in this order."""
+        own = {
+            specialists[0].level: [
+                {"seed": one.seed, "version": one.trained.num_updates, "rate": one.rate, "sha256": one.sha256}
+                for one in specialists
+            ]
+            for specialists in self.by_level
+        }
+        return {
+            "name": self.path.name,
+            "version": max(one["version"] for specialists in own.values() for one in specialists),
+            "sha256": hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest(),
+            "min_rate": self.min_rate,
+            "specialists": own,
+        }
 
     def players(self, env: Environment, levels: Level, *, greedy: bool = False) -> list[list[Player]]:
         """Player of each, by level. Raises UserError where they do not fit levels of this size."""
@@ -170,20 +190,24 @@ class StoredSpecialists:
         return [[player(specialist) for specialist in own] for own in self.by_level]
 
 
-def specialists_of(path: Path, levels: Level, names: Sequence[str], *, min_rate: float = MIN_RATE) -> StoredSpecialists:
-    """Specialists of levels [L, ...] that solve `min_rate` of their level or more.
+def specialists_of(
+    path: Path, levels: Level, names: Sequence[str], *, min_rate: float | None = None
+) -> StoredSpecialists:
+    """Specialists of levels [L, ...] that solve `min_rate` (None: `MIN_RATE`) of their level or more.
 
     path: results of `finetune --each`, or one start or seed in them, such as runs/experts/scratch-seed-3. A level is
     compared with the one that was trained on where both are in arrays of one size. Raises UserError, one line, for a
     level without a specialist, for one that changed, for specialists of several starts and for damaged ones.
     """
+    min_rate = MIN_RATE if min_rate is None else min_rate
     root = _root_of(path)
     if root is None:
         raise UserError(f"{path} holds no results of specialists (no {DESIGN_NAME}); give a directory that has them")
     records = [one for one in read_results(root) if path == root or path.name in (one["start"], one["folder"])]
-    if starts := sorted({record["start"] for record in records})[1:]:
-        other = records[0]["start"]
-        raise UserError(f"{path} has specialists from {starts[0]} and from {other}; give {root / other}, or the other")
+    if len(starts := list(dict.fromkeys(record["start"] for record in records))) > 1:
+        raise UserError(
+            f"{path} has specialists from {starts[0]} and from {starts[1]}; give {root / starts[0]}, or the other"
+        )
     by_level: dict[str, list[Record]] = {name: [] for name in names}
     for record in records:
         by_level.setdefault(record["level"], []).append(record)
@@ -195,9 +219,10 @@ def specialists_of(path: Path, levels: Level, names: Sequence[str], *, min_rate:
     _check_levels(root, levels, names, by_level)
     return StoredSpecialists(
         path=path,
+        min_rate=min_rate,
         by_level=tuple(tuple(map(_loader(root), _good(by_level[name], min_rate))) for name in names),
         left_out=tuple(
-            f"{name} seed {record['seed']}: {record['final']['rate']:.0%}"
+            f"{name} seed {record['seed']} solves {record['final']['rate']:.0%}, less than --min-rate {min_rate:g}"
             for name in names
             for record in by_level[name]
             if record["final"]["rate"] < min_rate

@@ -31,6 +31,7 @@ from kinetix_dist.evaluation.evaluate import Episodes
 from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.number_ranges import numbers_in
+from kinetix_dist.stored_specialists import are_specialists
 
 MAX_DELAY = 1000
 PICTURES = (".png", ".svg", ".pdf")
@@ -41,7 +42,8 @@ class Options:
     """Solve rates over delay, by method, with intervals and a picture."""
 
     policy: tuple[Path, ...] = (Path("generalist"),)
-    """Checkpoints, runs or bundled policies, of action chunks (`clone-flow`) or of single actions."""
+    """Checkpoints, runs or bundled policies, of action chunks (`clone-flow`) or of single actions, or specialists of
+    `finetune --each`, which play each its own level."""
     levels: str = "designed_m"
     """A set, a directory of level files, or one level file."""
     size: str | None = None
@@ -60,6 +62,8 @@ class Options:
     """Standard deviation of normal noise on every action; published curves have 0.1."""
     weak_policy: Path | None = None
     """An earlier checkpoint of a chunk policy, for the forward contrast of bidirectional decoding."""
+    min_rate: float | None = None
+    """Specialists play that solved this share of their level at the end of training; left out: 0.65, as published."""
     seed: int = 0
     """Seed of actions and noise."""
     json: Path | None = None
@@ -74,6 +78,8 @@ class Options:
                 raise ValueError(f"--{name} is empty")
         for method in self.methods:
             METHODS[method]
+        if self.min_rate is not None and not 0 <= self.min_rate <= 1:
+            raise ValueError(f"--min-rate is {self.min_rate:g}; it is a solve rate, from 0 to 1")
         if self.episodes < 1:
             raise ValueError(f"--episodes is {self.episodes}; at least 1 is needed")
         if self.picture is not None and self.picture.suffix not in PICTURES:
@@ -87,9 +93,16 @@ def delays_of(words: Sequence[str]) -> list[int]:
 
 def measure(options: Options, results: Results) -> None:
     """A record a point. Raises UserError, before anything is played, for what cannot be."""
+    if options.min_rate is not None and not any(map(are_specialists, options.policy)):
+        raise UserError("--min-rate is of specialists, and no --policy is a directory of them; leave it out")
     with user_errors(CheckpointError, ValueError, OSError):
         levels, names = load_level_set(options.levels, options.size)
-        contenders = [contender_at(path, levels, weak=options.weak_policy) for path in options.policy]
+        contenders = [
+            contender_at(path, levels, names, weak=options.weak_policy, min_rate=options.min_rate)
+            for path in options.policy
+        ]
+        for line in (line for contender in contenders for line in contender.left_out):
+            results.report(f"left out: {line}")
         points = [point for contender in contenders for point in _points(options, contender, results)]
         for contender, _, schedule in points:
             schedule.check_space(contender.env.action_space)

@@ -30,9 +30,8 @@ def _specialist(*rates: int) -> Specialist:
     return Specialist(points=points, params={"w": np.arange(3.0)}, skipped_steps=0, **seconds)
 
 
-POLICY = Start(
-    name="policy", checkpoint="policy", description={"checkpoint": "policy", "sha256": "abc", "policy_updates": 7}
-)
+STORED = {"checkpoint": "policy", "sha256": "abc", "policy_updates": 7}
+POLICY = Start(name="policy", checkpoint="policy", description=STORED)
 
 
 def test_samples_to_a_solve_rate_are_those_of_the_first_evaluation_that_has_it() -> None:
