@@ -36,10 +36,9 @@ from kinetix_dist.level.fingerprints import is_in_order
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.text_files import read_json
-from kinetix_dist.trained_policy import Trained, checkpoint_at
+from kinetix_dist.trained_policy import DESIGN_NAME, Trained, checkpoint_at
 
 FORMAT = 1
-DESIGN_NAME = "design.json"
 FROM_SCRATCH = "scratch"
 MIN_RATE = 0.65  # of the public benchmark of RTC
 

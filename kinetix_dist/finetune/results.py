@@ -109,7 +109,7 @@ class ResultsDirectory:
         if stored.get("format") != FORMAT:
             raise UserError(f"{self.path} has format {stored.get('format')!r}; this version reads {FORMAT}")
         if is_parent:
-            design, stored = (one | {"levels": dict.fromkeys(one["levels"])} for one in (design, stored))
+            design, stored = (one | {"levels": dict.fromkeys(one["levels"], "")} for one in (design, stored))
         if differs := differing(design, stored):
             more = f" and {len(differs) - 1} more" if len(differs) > 1 else ""
             raise UserError(

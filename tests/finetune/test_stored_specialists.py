@@ -205,6 +205,14 @@ def test_several_starts_are_one_line(experts: Path, levels: Path, capsys: pytest
     assert [len(own) for own in chosen.by_level] == [2, 1]
 
 
+def test_a_command_of_one_policy_is_told_to_name_one(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["eval", "--checkpoint", str(written), "--levels", f"s/{KICK}"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.endswith(
+        f"{written} holds results of several policies (design.json); name the directory of one of them"
+    )
+
+
 def test_a_rate_is_of_specialists(levels: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = _refusals(capsys, Path("generalist"), levels, "--min-rate", "0.5")
     assert "--min-rate is of specialists" in lines[0] and "--min-rate is of specialists" in lines[1]
