@@ -105,6 +105,31 @@ def single_level() -> TrainConfig:
     )
 
 
+def specialist() -> TrainConfig:
+    """One level with continuous actions, as the experts of the public benchmark of RTC are trained (its
+    train_expert.py): worlds, steps, epochs, minibatches, rates and 65 M steps are theirs; network and reward are ours.
+
+    `finetune --each` gives each level one, or one a seed; the size is that of the levels."""
+    return TrainConfig(
+        env=EnvConfig(size="l", action_space="continuous", dense_reward_scale=1.0),
+        policy=PolicyConfig(dtype="bfloat16", kernels="auto"),
+        ppo=PpoConfig(
+            epochs=4,
+            minibatches=8,
+            clip=0.2,
+            learning_rate=3e-4,
+            max_grad_norm=1.0,
+            entropy_coefficient=0.0,
+            mask_unbound_heads=True,
+        ),
+        curriculum=CurriculumConfig(name="fixed", levels="designed_l"),
+        rollout=RolloutConfig(num_envs=256),
+        evaluation=EvaluationConfig(sets=("designed_l",), attempts=256, every=50),
+        recording=RecordingConfig(num_rollouts=0),
+        run=RunConfig(name="specialist", total_env_steps=65_000_000, checkpoint_every=100),
+    )
+
+
 def teach() -> TrainConfig:
     """One level from a pretrained policy in a minute or two on two CPU cores, as the editor's "teach it" trains.
 
@@ -287,7 +312,7 @@ def pretrain_all() -> TrainConfig:
 
 
 RECIPES: dict[str, Callable[[], TrainConfig]] = {
-    **{function.__name__: function for function in (quickstart, quickstart_finetune, single_level, teach)},
+    **{function.__name__: function for function in (quickstart, quickstart_finetune, single_level, specialist, teach)},
     **{f"{name}_{size}": functools.partial(_paper, name, size) for name in _CURRICULA for size in "sml"},
     **{f"pretrain_{size}": functools.partial(_pretrain, size) for size in "sml"},
     "pretrain_all": pretrain_all,

@@ -14,6 +14,7 @@ from kinetix_dist.evaluation.load_policy import load_policy
 from kinetix_dist.evaluation.policies import NetworkPolicy, Player
 from kinetix_dist.level.level import Level
 
+DESIGN_NAME = "design.json"  # of directories of specialists, sweeps and studies
 CHUNK_POLICY = "chunk_policy"  # in the description of a checkpoint that kinetix_dist/delay/ plays
 MAX_LISTINGS = 3  # of a run's checkpoints, where all that were listed are pruned while they are read
 
@@ -55,6 +56,8 @@ def checkpoint_at(path: Path) -> Trained:
     """Checkpoint of a directory, or of a pretrained policy by its name. Raises UserError."""
     if (path / "checkpoints").is_dir():
         raise UserError(f"{path} is a run directory; give it as a run")
+    if (path / DESIGN_NAME).is_file():
+        raise UserError(f"{path} holds results of several policies ({DESIGN_NAME}); name the directory of one of them")
     with user_errors(CheckpointError, ValueError, OSError):
         return _trained(load_checkpoint(path))
 

@@ -60,8 +60,8 @@ def unroll(
 ) -> Played:
     """`num_steps` steps of W worlds from the states that they are in.
 
-    key: a typed key, used up by this call (fold in a counter for the next). keep_timeouts: whether the trajectory says
-    which episodes ended at the time limit.
+    key: a typed key, or one a world, used up by this call (fold in a counter for the next). keep_timeouts: whether the
+    trajectory says which episodes ended at the time limit.
     """
     prepared = worlds.prepared
     counted = {} if worlds.bound_heads is None else {"bound": worlds.bound_heads}
@@ -139,8 +139,8 @@ def _num_worlds(obs: Any) -> int:
 
 
 def keys_of_worlds(key: Array, numbers: Array) -> Array:
-    """[W] typed keys, each by the number of a world in the whole batch."""
-    return jax.vmap(prng.fold_in, (None, 0))(key, numbers.astype(jnp.uint32))
+    """[W] typed keys, each by the number of a world in the whole batch. key: of all worlds, or [W]."""
+    return jax.vmap(prng.fold_in, (0 if key.ndim else None, 0))(key, numbers.astype(jnp.uint32))
 
 
 def _uniforms(world_keys: Array, step: Array, count: int) -> Array:

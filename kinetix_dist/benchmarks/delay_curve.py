@@ -10,7 +10,6 @@ and figures.
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -31,6 +30,8 @@ from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.evaluate import Episodes
 from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.number_ranges import numbers_in
+from kinetix_dist.stored_specialists import are_specialists
 
 MAX_DELAY = 1000
 PICTURES = (".png", ".svg", ".pdf")
@@ -41,7 +42,8 @@ class Options:
     """Solve rates over delay, by method, with intervals and a picture."""
 
     policy: tuple[Path, ...] = (Path("generalist"),)
-    """Checkpoints, runs or bundled policies, of action chunks (`clone-flow`) or of single actions."""
+    """Checkpoints, runs or bundled policies, of action chunks (`clone-flow`) or of single actions, or specialists of
+    `finetune --each`, which play each its own level."""
     levels: str = "designed_m"
     """A set, a directory of level files, or one level file."""
     size: str | None = None
@@ -60,6 +62,8 @@ class Options:
     """Standard deviation of normal noise on every action; published curves have 0.1."""
     weak_policy: Path | None = None
     """An earlier checkpoint of a chunk policy, for the forward contrast of bidirectional decoding."""
+    min_rate: float | None = None
+    """Specialists play that solved this share of their level at the end of training; left out: 0.65, as published."""
     seed: int = 0
     """Seed of actions and noise."""
     json: Path | None = None
@@ -74,6 +78,8 @@ class Options:
                 raise ValueError(f"--{name} is empty")
         for method in self.methods:
             METHODS[method]
+        if self.min_rate is not None and not 0 <= self.min_rate <= 1:
+            raise ValueError(f"--min-rate is {self.min_rate:g}; it is a solve rate, from 0 to 1")
         if self.episodes < 1:
             raise ValueError(f"--episodes is {self.episodes}; at least 1 is needed")
         if self.picture is not None and self.picture.suffix not in PICTURES:
@@ -82,23 +88,21 @@ class Options:
 
 def delays_of(words: Sequence[str]) -> list[int]:
     """[0, 1, 2, 3] of "0..3", or of "0 1 2 3". Raises ValueError."""
-    found: set[int] = set()
-    for word in words:
-        match = re.fullmatch(r"(\d+)(?:\.\.(\d+))?", word)
-        first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, -1)
-        if not first <= last <= MAX_DELAY:
-            raise ValueError(f"--delays has {word!r}; give numbers of steps such as 0..8, up to {MAX_DELAY}")
-        found |= set(range(first, last + 1))
-    if not found:
-        raise ValueError("--delays is empty")
-    return sorted(found)
+    return numbers_in(words, "--delays", most=MAX_DELAY)
 
 
 def measure(options: Options, results: Results) -> None:
     """A record a point. Raises UserError, before anything is played, for what cannot be."""
+    if options.min_rate is not None and not any(map(are_specialists, options.policy)):
+        raise UserError("--min-rate is of specialists, and no --policy is a directory of them; leave it out")
     with user_errors(CheckpointError, ValueError, OSError):
         levels, names = load_level_set(options.levels, options.size)
-        contenders = [contender_at(path, levels, weak=options.weak_policy) for path in options.policy]
+        contenders = [
+            contender_at(path, levels, names, weak=options.weak_policy, min_rate=options.min_rate)
+            for path in options.policy
+        ]
+        for line in (line for contender in contenders for line in contender.left_out):
+            results.report(f"left out: {line}")
         points = [point for contender in contenders for point in _points(options, contender, results)]
         for contender, _, schedule in points:
             schedule.check_space(contender.env.action_space)

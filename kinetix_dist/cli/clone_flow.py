@@ -5,28 +5,37 @@
     kinetix-dist bench delay --policy runs/flow runs/flow_rtc --levels levels --picture delay.png
 
 The data are of `kinetix-dist collect` with continuous actions. A checkpoint is written at each quarter of the steps;
-progress.jsonl has the loss on data that were learned from and on held-out episodes. docs/delay.md explains it.
+progress.jsonl has the loss on data that were learned from and on held-out episodes. The same command goes on with a
+training that was stopped or killed, and with more --steps it trains one further. docs/delay.md explains it.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
+import math
+import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import tyro
 
+from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.cli.checks import check_seed, start_computing
+from kinetix_dist.cli.streams import say
 from kinetix_dist.delay.chunk_policy import FlowConfig
 from kinetix_dist.delay.cloning import CloningConfig
 from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
+    from kinetix_dist.delay.chunk_policy import ChunkPolicy
     from kinetix_dist.delay.cloning import Progress
+    from kinetix_dist.delay.demonstrations import Demonstrations
+    from kinetix_dist.delay.windows import Samples
+    from kinetix_dist.env.environment import Environment
+    from kinetix_dist.runtime import StopSignals
 
-PROGRESS_NAME = "progress.jsonl"
+HINT = "; the same command goes on"
 NUM_CHECKPOINTS = 4
 NETWORKS = {"flat": "flat", "pixels": "cnn"}  # by observation, where it is not that of entities
 
@@ -38,30 +47,56 @@ class Args:
     data: tuple[Path, ...]
     """Data sets of `kinetix-dist collect`, of continuous actions and one kind of environment."""
     run: Path
-    """New directory for checkpoints and losses."""
+    """Directory for checkpoints and losses: a new one, or one of the same command, which goes on."""
     solved_only: bool = False
     """Learn from episodes that ended solved alone."""
     skip_damaged: bool = False
     """Leave out shards that are missing or damaged, and say how many."""
+    save_seconds: float = 60.0
+    """Time between saved states, from which the same command goes on; they are written when losses are."""
     flow: Annotated[FlowConfig, tyro.conf.arg(name="")] = dataclasses.field(default_factory=FlowConfig)
     training: Annotated[CloningConfig, tyro.conf.arg(name="")] = dataclasses.field(default_factory=CloningConfig)
 
     def __post_init__(self) -> None:
         if not self.data:
             raise ValueError("--data is empty")
+        if not 0 <= self.save_seconds < math.inf:
+            raise ValueError(f"--save-seconds is {self.save_seconds:g}; give a number of seconds, 0 or more")
 
 
 def run(args: Args) -> int:
     check_seed(args.training.seed)
-    if (args.run / "checkpoints").exists():
-        raise UserError(f"{args.run} holds checkpoints; choose another --run")
     start_computing()
+    from kinetix_dist.runtime import EXIT_STOPPED, RunDirectoryError, StopRequested, StopSignals, lock_directory
+
+    prepared = _prepare(args)
+    with user_errors(OSError, prefix=f"{args.run} cannot be written: "):
+        args.run.mkdir(parents=True, exist_ok=True)
+    with user_errors(RunDirectoryError):
+        lock = lock_directory(args.run)
+    with lock, StopSignals(hint=HINT) as stop:
+        try:
+            return _clone(args, prepared, stop)
+        except StopRequested:
+            say(f"kinetix-dist: stopped by {stop.requested}{HINT}", sys.stderr)
+            return EXIT_STOPPED
+
+
+class _Prepared(NamedTuple):
+    demonstrations: Demonstrations
+    config: FlowConfig
+    env: Environment
+    policy: ChunkPolicy
+    samples: Samples
+
+
+def _prepare(args: Args) -> _Prepared:
+    """Samples and network. Raises UserError before anything is written."""
     from kinetix_dist.data import DatasetError
     from kinetix_dist.delay.chunk_policy import make_chunk_policy
-    from kinetix_dist.delay.cloning import clone
+    from kinetix_dist.delay.cloning import split_episodes
     from kinetix_dist.delay.demonstrations import open_demonstrations, samples_of
     from kinetix_dist.env.environment import Environment
-    from kinetix_dist.models.policy import num_parameters
 
     with user_errors(DatasetError, ValueError, OSError):
         demonstrations = open_demonstrations(args.data, skip_damaged=args.skip_damaged)
@@ -69,49 +104,83 @@ def run(args: Args) -> int:
         env = Environment(demonstrations.env_config)
         policy = make_chunk_policy(config, env)
         samples = samples_of(demonstrations, policy, solved_only=args.solved_only)
-        args.run.mkdir(parents=True, exist_ok=True)
+        split_episodes(samples.left, args.training.held_out, args.training.seed)
+    return _Prepared(demonstrations, config, env, policy, samples)
+
+
+def _clone(args: Args, prepared: _Prepared, stop: StopSignals) -> int:
+    from kinetix_dist.delay import cloning_state
+    from kinetix_dist.delay.cloning import clone, untrained
+    from kinetix_dist.models.policy import num_parameters
+
+    demonstrations, config, env, policy, samples = prepared
     skipped = sum(len(each.skipped) for each in demonstrations.datasets)
+    cloning_state.claim(args.run, cloning_state.design_of(config, args.training, demonstrations, len(samples.level)))
     print(
         f"{len(samples.level):,} transitions of {len(samples.bound)} levels, chunks of {config.horizon} actions"
         + (f"; {skipped} shards are damaged or missing and left out" if skipped else ""),
         flush=True,
     )
-    report = _Report(args, config, demonstrations.description, demonstrations.env_config)
-    with user_errors(ValueError, OSError):
-        params = clone(policy, env, samples, args.training, max_delay=config.max_delay, on_report=report)
-    print(f"{num_parameters(params):,} parameters in {report.newest}")
+    fresh = untrained(policy, env, samples, args.training)
+    begun, passed_over = cloning_state.newest_state(args.run, fresh)
+    for line in passed_over:
+        print(line, flush=True)
+    if begun.steps > args.training.steps:
+        raise UserError(f"{args.run} has {begun.steps:,} steps already; give --steps {begun.steps} or more")
+    if begun.steps:
+        print(f"goes on after step {begun.steps:,} of {args.training.steps:,}", flush=True)
+    cloning_state.cut_progress(args.run, begun.steps)
+    report = _Report(args, config, demonstrations, begun.steps, stop)
+    with user_errors(ValueError, OSError, CheckpointError), stop.deferred():
+        params = clone(policy, env, samples, args.training, max_delay=config.max_delay, begun=begun, on_report=report)
+    print(f"{num_parameters(params):,} parameters in {cloning_state.newest_policy(args.run)}")
     print(f"play it   kinetix-dist bench delay --policy {args.run} --levels SET --picture {args.run / 'delay.png'}")
     return 0
 
 
 class _Report:
-    """Prints and stores losses, and writes checkpoints."""
+    """Prints and stores losses, writes checkpoints and states, and ends where a stop is requested."""
 
-    def __init__(self, args: Args, config: FlowConfig, data: list[dict[str, Any]], env: Any) -> None:
-        self._args, self._config, self._data, self._env = args, config, data, env
-        self._began = time.monotonic()
-        self._saved = 0  # quarters
-        self.newest: Path | None = None
+    def __init__(
+        self, args: Args, config: FlowConfig, demonstrations: Demonstrations, begun: int, stop: StopSignals
+    ) -> None:
+        """begun: steps done before."""
+        self._args, self._config, self._data, self._stop = args, config, demonstrations, stop
+        self._began = self._saved_at = time.monotonic()
+        self._saved = NUM_CHECKPOINTS * begun // args.training.steps  # quarters
 
     def __call__(self, progress: Progress) -> None:
         from kinetix_dist.delay.chunk_policy import save_chunk_policy
+        from kinetix_dist.delay.cloning_state import CHECKPOINTS, PROGRESS_NAME, save_state
+        from kinetix_dist.telemetry.json_lines import append_line
 
-        steps, seconds = self._args.training.steps, time.monotonic() - self._began
+        args, steps, now = self._args, self._args.training.steps, time.monotonic()
         losses = {"loss": progress.loss, "held_out_loss": progress.held_out_loss}
-        with (self._args.run / PROGRESS_NAME).open("a") as file:
-            file.write(json.dumps({"step": progress.steps, "seconds": round(seconds, 1)} | losses) + "\n")
+        seconds = {"seconds": round(now - self._began, 1)}  # of this command
+        append_line(args.run / PROGRESS_NAME, {"step": progress.steps} | seconds | losses)
         print(
-            f"step {progress.steps:,} of {steps:,}  {seconds:.0f} s  loss {progress.loss:.4f}  "
+            f"step {progress.steps:,} of {steps:,}  {now - self._began:.0f} s  loss {progress.loss:.4f}  "
             f"held out {progress.held_out_loss:.4f}",
             flush=True,
         )
         if (quarters := NUM_CHECKPOINTS * progress.steps // steps) > self._saved:
             self._saved = quarters
-            notes = losses | {"data": self._data, "training": dataclasses.asdict(self._args.training)}
-            folder = self._args.run / "checkpoints"
-            self.newest = save_chunk_policy(
-                folder, progress.steps, progress.params, self._config, self._env, notes=notes
+            training = dataclasses.asdict(args.training)
+            notes = losses | {"data": self._data.description, "training": training}
+            save_chunk_policy(
+                args.run / CHECKPOINTS,
+                progress.steps,
+                progress.params,
+                self._config,
+                self._data.env_config,
+                notes=notes,
             )
+        is_stopped, is_last = self._stop.requested is not None, progress.steps == steps
+        if is_stopped or is_last or now - self._saved_at >= args.save_seconds:
+            save_state(args.run, progress.learned)
+            self._saved_at = time.monotonic()
+        if not is_last:
+            self._stop.raise_if_requested()
 
 
 def _for_observation(config: FlowConfig, observation: str) -> FlowConfig:

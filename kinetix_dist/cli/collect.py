@@ -3,15 +3,16 @@
     kinetix-dist collect --policy generalist --levels designed_s --transitions 1e6 --out data
     kinetix-dist collect --policy runs/quickstart --levels designed_s --noise 0.1 --sticky 0.1 --out noisy
     kinetix-dist collect --policy random --levels random_s --out random
+    kinetix-dist collect --policy runs/experts --levels levels12 --transitions 12e6 --out data12
 
 The same command goes on with a collection that was stopped or killed, and with more --transitions adds to one that was
-finished. docs/data.md describes the files.
+finished. A directory of specialists (`finetune --each`) plays each level by its own, of several seeds in turns.
+docs/data.md describes the files.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import math
 import sys
 import time
@@ -33,6 +34,9 @@ BASELINES = ("random", "noop")
 NO_VERSION = -1  # of a policy that has learned nothing
 DEFAULT_WORLDS = {"gpu": 2048, "cpu": 64}
 DEFAULT_SHARD = {"gpu": 1 << 20, "cpu": 1 << 16}  # transitions: 512 and 1,024 steps of each world
+# Of specialists: a shard is of one of them, and a million transitions of a level are to be of eight.
+DEFAULT_WORLDS_OF_SPECIALISTS = {"gpu": 256, "cpu": 64}
+DEFAULT_SHARD_OF_SPECIALISTS = {"gpu": 1 << 17, "cpu": 1 << 16}
 SECONDS_BETWEEN_LINES = 5.0
 
 
@@ -41,7 +45,8 @@ class Args:
     """Play a policy and store its transitions as a data set."""
 
     policy: str
-    """A run, a checkpoint, a pretrained policy by name (generalist), `random` (uniform actions) or `noop` (none)."""
+    """A run, a checkpoint, a pretrained policy by name (generalist), specialists of `finetune --each`, one a level,
+    `random` (uniform actions) or `noop` (none)."""
     levels: str
     """A set (designed_s, random_s ... with s, m or l), a directory of level files, or one level file."""
     out: Path
@@ -56,12 +61,14 @@ class Args:
     """Probability that a step executes a uniform action instead of the policy's."""
     sticky: float = 0.0
     """Probability that a step executes the action of the step before instead."""
+    min_rate: float | None = None
+    """Specialists play that solved this share of their level at the end of training; left out: 0.65, as published."""
     greedy: bool = False
     """Most likely actions instead of samples."""
     worlds: int | None = None
-    """Worlds that play at once, each one level a shard; left out: 2048 on a GPU, 64 on a CPU."""
+    """Worlds that play at once, each one level a shard; left out: 2048 on a GPU (256 of specialists), 64 on a CPU."""
     shard_transitions: int | None = None
-    """Transitions of a shard, a multiple of --worlds; left out: 2^20 on a GPU, 2^16 on a CPU."""
+    """Transitions of a shard, a multiple of --worlds; left out: 2^20 on a GPU (2^17 of specialists), 2^16 on a CPU."""
     seed: int = 0
     """Seed of actions, disturbances and the order of levels."""
 
@@ -70,18 +77,36 @@ def run(args: Args) -> int:
     check(args)
     from kinetix_dist.cli.checks import start_computing
     from kinetix_dist.data import DatasetError
+    from kinetix_dist.stored_specialists import are_specialists
 
-    trained = _trained(args.policy)
+    has_specialists = args.policy not in BASELINES and are_specialists(Path(args.policy))
+    if args.min_rate is not None and not has_specialists:
+        raise UserError(f"--min-rate is of specialists, and --policy is {args.policy}; leave it out")
+    trained = None if has_specialists else _trained(args.policy)
     start_computing("" if trained is None else trained.config.run.compile_cache)
     with user_errors(DatasetError, ValueError):
-        collection = _collection(args, trained)
-    num_shards = math.ceil(args.transitions / collection.rows_per_shard)
+        collection = _of_specialists(args) if has_specialists else _collection(args, trained)
+    num_levels = len(collection.turns) or 1  # each has as many shards as any other
+    num_shards = math.ceil(args.transitions / collection.rows_per_shard / num_levels) * num_levels
     print(
         f"collecting {num_shards * collection.rows_per_shard:,} transitions of {args.levels} into {args.out}: "
         f"{num_shards} shards of {collection.num_worlds} worlds x {collection.num_steps} steps",
         flush=True,
     )
+    if too_few := _too_few_shards(collection, num_shards // num_levels):
+        print(too_few, flush=True)
     return _collect(args.out, collection, num_shards)
+
+
+def _too_few_shards(collection: Collection, shards_per_level: int) -> str:
+    """Line about specialists that have no turn; "": all have one."""
+    most = max(map(len, collection.turns), default=0)
+    if most <= shards_per_level:
+        return ""
+    return (
+        f"{most} specialists take turns at a level, and it has {shards_per_level} shards: the others do not play; give "
+        "more --transitions or fewer --shard-transitions"
+    )
 
 
 def check(args: Args) -> None:
@@ -94,6 +119,8 @@ def check(args: Args) -> None:
     for name in ("worlds", "shard_transitions"):
         if (value := getattr(args, name)) is not None and value < 1:
             raise UserError(f"--{name.replace('_', '-')} is {value}; it must be 1 or more")
+    if args.min_rate is not None and not 0 <= args.min_rate <= 1:
+        raise UserError(f"--min-rate is {args.min_rate:g}; it is a solve rate, from 0 to 1")
     if args.greedy and args.policy in BASELINES:
         raise UserError(f"--greedy is for trained policies, and --policy is {args.policy}; leave it out")
     if args.preset is not None:
@@ -116,8 +143,6 @@ def _trained(policy: str) -> Trained | None:
 
 
 def _collection(args: Args, trained: Trained | None) -> Collection:
-    import jax
-
     from kinetix_dist.cli.eval_command import environment_of
     from kinetix_dist.data.collect import Collection
     from kinetix_dist.data.rollout import Disturbance
@@ -131,11 +156,7 @@ def _collection(args: Args, trained: Trained | None) -> Collection:
         player = trained.player(env, levels, greedy=args.greedy)
     else:
         player = Player({"random": RandomPolicy, "noop": NoopPolicy}[args.policy](env.action_space))
-    device = "cpu" if jax.default_backend() == "cpu" else "gpu"
-    worlds = args.worlds or DEFAULT_WORLDS[device]
-    per_shard = args.shard_transitions or DEFAULT_SHARD[device]
-    if per_shard % worlds:
-        raise UserError(f"--shard-transitions {per_shard} is not a multiple of --worlds {worlds}; change one")
+    worlds, steps = _worlds_and_steps(args, DEFAULT_WORLDS, DEFAULT_SHARD)
     return Collection(
         env=env,
         player=player,
@@ -145,8 +166,57 @@ def _collection(args: Args, trained: Trained | None) -> Collection:
         level_set=args.levels,
         disturbance=Disturbance(noise=args.noise, sticky=args.sticky),
         num_worlds=worlds,
-        num_steps=per_shard // worlds,
+        num_steps=steps,
         seed=args.seed,
+    )
+
+
+def _worlds_and_steps(args: Args, default_worlds: dict[str, int], default_shard: dict[str, int]) -> tuple[int, int]:
+    """(worlds, steps of each in a shard). Raises UserError where they do not divide."""
+    import jax
+
+    device = "cpu" if jax.default_backend() == "cpu" else "gpu"
+    worlds = args.worlds or default_worlds[device]
+    per_shard = args.shard_transitions or default_shard[device]
+    if per_shard % worlds:
+        raise UserError(f"--shard-transitions {per_shard} is not a multiple of --worlds {worlds}; change one")
+    return worlds, per_shard // worlds
+
+
+def _of_specialists(args: Args) -> Collection:
+    """Each level by its own specialists, which take turns."""
+    from kinetix_dist.cli.eval_command import environment_of
+    from kinetix_dist.data.collect import Collection, Turn
+    from kinetix_dist.data.rollout import Disturbance
+    from kinetix_dist.level.sets import load_level_set
+    from kinetix_dist.stored_specialists import specialists_of
+
+    with user_errors(ValueError, OSError):
+        levels, names = load_level_set(args.levels, args.size)
+    chosen = specialists_of(Path(args.policy), levels, names, min_rate=args.min_rate)
+    for line in chosen.left_out:
+        print(f"left out: {line}", flush=True)
+    env = environment_of(args.preset, chosen.first, levels)
+    players = chosen.players(env, levels, greedy=args.greedy)
+    turns = tuple(
+        tuple(
+            Turn(player=player, version=one.trained.num_updates) for player, one in zip(own, specialists, strict=True)
+        )
+        for own, specialists in zip(players, chosen.by_level, strict=True)
+    )
+    worlds, steps = _worlds_and_steps(args, DEFAULT_WORLDS_OF_SPECIALISTS, DEFAULT_SHARD_OF_SPECIALISTS)
+    return Collection(
+        env=env,
+        player=players[0][0],
+        policy=chosen.description | {"greedy": args.greedy},
+        levels=levels,
+        level_names=list(names),
+        level_set=args.levels,
+        disturbance=Disturbance(noise=args.noise, sticky=args.sticky),
+        num_worlds=worlds,
+        num_steps=steps,
+        seed=args.seed,
+        turns=turns,
     )
 
 
@@ -155,12 +225,10 @@ def _description(args: Args, trained: Trained | None) -> dict[str, Any]:
     if trained is None:
         return {"name": args.policy, "version": NO_VERSION, "sha256": "", "greedy": False}
     from kinetix_dist.evaluation.load_policy import released_arrays
+    from kinetix_dist.stored_specialists import digest_of_arrays
 
-    digest = hashlib.sha256()
-    for name, array in sorted(released_arrays(trained.checkpoint).items()):
-        digest.update(name.encode() + array.tobytes())
-    name = Path(args.policy).name or args.policy
-    return {"name": name, "version": trained.num_updates, "sha256": digest.hexdigest(), "greedy": args.greedy}
+    name, sha256 = Path(args.policy).name or args.policy, digest_of_arrays(released_arrays(trained.checkpoint))
+    return {"name": name, "version": trained.num_updates, "sha256": sha256, "greedy": args.greedy}
 
 
 def _collect(out: Path, collection: Collection, num_shards: int) -> int:

@@ -5,6 +5,7 @@
     kinetix-dist finetune --from generalist --levels designed_s --each --compare   and from scratch, with a picture
     kinetix-dist finetune --from generalist --levels designed_s --each --gif after.gif   and how they play
     kinetix-dist finetune --levels designed_s --each                               from scratch alone
+    kinetix-dist finetune --levels mine --each --seeds 0..7 --together 12 --slots 0   eight seeds, over all free GPUs
 
 Network and environment are those of the policy, everything else is a recipe's; all options of `train` override it.
 Without --each it is an ordinary run of `train`. With --each results are stored as they come, and the same command
@@ -21,21 +22,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kinetix_dist.cli import train
-from kinetix_dist.cli.checks import check_output_file
+from kinetix_dist.cli.checks import MAX_SEED, check_output_file
 from kinetix_dist.cli.option_help import wants_help
+from kinetix_dist.cli.specialist_slots import check_slots, hold_to_cpu, slots_of, train_in_slots
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, one_line, user_errors
+from kinetix_dist.number_ranges import numbers_in
 
 if TYPE_CHECKING:
     from kinetix_dist.config import TrainConfig
-    from kinetix_dist.finetune.results import Record
+    from kinetix_dist.finetune.each import Plan
     from kinetix_dist.finetune.specialists import Start
+    from kinetix_dist.stored_specialists import Record
 
 PROG = "kinetix-dist finetune"
 DEFAULT_RECIPE = "single_level"
 CURRICULUM = "fixed"
 MAX_TABLE_WIDTH = 200  # characters; a terminal that is narrower breaks lines, but cuts no number
-PICTURE_NAME = "samples.png"
+PICTURE_NAME, CARD_NAME = "samples.png", "README.md"
 USAGE = f"""usage: {PROG} --levels SET [--from CKPT] [--each [--compare]] [options of train]
 
   --levels SET    a level set, a level, a level file or a directory of them
@@ -43,10 +47,14 @@ USAGE = f"""usage: {PROG} --levels SET [--from CKPT] [--each [--compare]] [optio
   --each          one specialist per level, on one device; --run is the directory of the results (default
                   runs/finetune-SET), and the same command goes on where it was stopped
   --compare       with --each and --from: specialists from scratch too
-  --part K/N      with --each: every N-th level alone, the K-th of them first; K from 0 to N - 1. Parts have directories
-                  of their own, so that several GPUs or machines share a level set
-  --together N    with --each: N specialists at a time in one program (default 1); they come out as they do alone, and
-                  sooner on a GPU that one does not fill
+  --seeds S       with --each: every level with each of these seeds, such as 0..7 or 0 3 5, in START-seed-S of --run;
+                  more of them may be added later. Left out: one seed, --run.seed
+  --slots N       with --each: N programs of specialists at a time, each on a GPU of its own, or on a share of the CPU
+                  cores; 0: all free GPUs. Left out: one, in this process
+  --part K/N      with --each: every N-th specialist alone, the K-th of them first; K from 0 to N - 1. Parts have
+                  directories of their own, so that several machines share a level set
+  --together N    with --each: N specialists, levels or seeds, at a time in one program (default 1); they come out as
+                  they do alone, and sooner on a GPU that one does not fill
   --stop-at RATE  with --each: a specialist ends at the first evaluation that solves this share (default: none)
   --gif FILE      with --each: a moving picture, each level before training on it and after
   --draw DIR      only draw the picture again, from the results stored there; with --gif, the moving one too
@@ -63,8 +71,11 @@ class Args:
     each: bool = False
     has_size: bool = False  # whether env.size was given
     stop_at: float = 0.0
-    part: tuple[int, int] = (0, 1)  # which of how many shares of the levels
+    seeds: tuple[int, ...] = ()  # (): run.seed
+    part: tuple[int, int] = (0, 1)  # which of how many shares of the specialists
     together: int = 1  # specialists at a time
+    slots: int | None = None  # worker slots; None: this process
+    words: tuple[str, ...] = ()  # of this command without --run, --part and --slots, for a process in a slot
     draw: Path | None = None
     gif: Path | None = None
     go_on: str = "the same command goes on"  # ends the line that is printed where the command is stopped
@@ -78,6 +89,8 @@ def parse(argv: Sequence[str]) -> Args:
     own.add_argument("--each", action="store_true")
     own.add_argument("--compare", action="store_true")
     own.add_argument("--stop-at", type=float)
+    own.add_argument("--seeds", nargs="+")
+    own.add_argument("--slots", type=int)
     own.add_argument("--part")
     own.add_argument("--together", type=int)
     own.add_argument("--draw", type=Path)
@@ -102,7 +115,9 @@ def parse(argv: Sequence[str]) -> Args:
 
 
 def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
-    _check(known)
+    _check(known, rest)
+    if known.slots is not None:
+        hold_to_cpu()  # before a checkpoint is read
     from kinetix_dist.finetune.specialists import SCRATCH, like_policy, policy_at, start_from
 
     trained = None if known.start is None else policy_at(Path(known.start))
@@ -134,21 +149,43 @@ def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
         each=known.each,
         has_size=has_size,
         stop_at=known.stop_at or 0.0,
+        seeds=() if known.seeds is None else _seeds_of(known.seeds),
+        slots=known.slots,
+        words=_words_of(known, rest),
         part=(0, 1) if known.part is None else _part_of(known.part),
         together=known.together or 1,
         gif=known.gif,
     )
 
 
+def _seeds_of(words: Sequence[str]) -> tuple[int, ...]:
+    with user_errors(ValueError):
+        return tuple(numbers_in(words, "--seeds", most=MAX_SEED))
+
+
+def _words_of(known: argparse.Namespace, rest: Sequence[str]) -> tuple[str, ...]:
+    """Words of this command for a process in a slot."""
+    own = ["--levels", known.levels, "--each", *(["--compare"] if known.compare else [])]
+    for option, value in (("--from", known.start), ("--stop-at", known.stop_at), ("--together", known.together)):
+        own += [] if value is None else [option, str(value)]
+    own += [] if known.seeds is None else ["--seeds", *known.seeds]
+    is_path = False
+    for word in rest:
+        if not is_path and word.split("=")[0] != "--run":
+            own.append(word)
+        is_path = word == "--run"
+    return tuple(own)
+
+
 def _part_of(word: str) -> tuple[int, int]:
     """K/N as numbers. Raises UserError for what is no part."""
     number, slash, count = word.partition("/")
     if not (slash and number.isdecimal() and count.isdecimal() and int(number) < int(count)):
-        raise UserError(f"--part is {word!r}; give K/N, which of N shares of the levels, such as 0/4 to 3/4")
+        raise UserError(f"--part is {word!r}; give K/N, which of N shares of the specialists, such as 0/4 to 3/4")
     return int(number), int(count)
 
 
-def _check(known: argparse.Namespace) -> None:
+def _check(known: argparse.Namespace, rest: Sequence[str]) -> None:
     if not known.levels:
         raise UserError(f"--levels is missing: the levels to train on; see `{PROG} --help`")
     if known.start == "":
@@ -157,6 +194,16 @@ def _check(known: argparse.Namespace) -> None:
         raise UserError("--compare puts specialists from scratch next to those of a policy; give --each and --from too")
     if known.part is not None and not known.each:
         raise UserError("--part is a share of the specialists; give --each too")
+    if known.seeds is not None and not known.each:
+        raise UserError("--seeds is of specialists; give --each too, or --run.seed to a run")
+    if known.seeds is not None and any(word.split("=")[0] == "--run.seed" for word in rest):
+        raise UserError("--seeds and --run.seed are both given; leave one of them out")
+    if known.seeds is not None:
+        _seeds_of(known.seeds)
+    if known.slots is not None and not known.each:
+        raise UserError("--slots are of specialists; give --each too")
+    if known.slots is not None:
+        check_slots(known.slots)
     if known.together is not None and not known.each:
         raise UserError("--together is how many specialists train at a time; give --each too")
     if known.together is not None and known.together < 1:
@@ -212,34 +259,38 @@ def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
 
 
 def _each(args: Args, config: TrainConfig) -> int:
-    from kinetix_dist.finetune.each import train_each
-    from kinetix_dist.runtime import EXIT_STOPPED, StopRequested, StopSignals
+    from kinetix_dist.finetune.each import Plan
 
     assert args.train is not None
     path = args.train.run or train.RUNS / f"finetune-{Path(config.curriculum.levels).stem}"
     if (path / "config.json").exists():
         raise UserError(f"{path} holds a run; give --run another directory for the results of specialists")
+    plan = Plan(starts=args.starts, seeds=args.seeds, stop_at=args.stop_at, part=args.part, together=args.together)
     starts = " and ".join(start.label for start in args.starts)
+    seeds = f", seeds {', '.join(map(str, args.seeds))}" if args.seeds else ""
     number, count = args.part
     share = f", those of part {number} of {count}" if count > 1 else ""
-    print(f"one specialist per level of {config.curriculum.levels}{share}, {starts}, in {path}", flush=True)
+    print(f"one specialist per level of {config.curriculum.levels}{share}, {starts}{seeds}, in {path}", flush=True)
     if config.cut_episodes:
         print(config.cut_episodes, flush=True)
+    if args.slots is not None:
+        status = train_in_slots(config, plan, path, (*args.words, "--run", str(path)), slots_of(config, args.slots))
+    else:
+        status = _train_here(args, config, plan, path)
+    return status or _show(path, args.gif, start=args.starts[-1].name)
+
+
+def _train_here(args: Args, config: TrainConfig, plan: Plan, path: Path) -> int:
+    from kinetix_dist.finetune.each import train_each
+    from kinetix_dist.runtime import EXIT_STOPPED, StopRequested, StopSignals
+
     with StopSignals(limit_s=config.run.stop_seconds, hint="; the same command goes on") as stop:
         try:
-            train_each(
-                config,
-                args.starts,
-                path,
-                stop_at=args.stop_at,
-                part=args.part,
-                together=args.together,
-                report=_print_line,
-            )
+            train_each(config, plan, path, report=_print_line)
         except StopRequested:
             say(f"kinetix-dist: stopped by {stop.requested}; {args.go_on}", sys.stderr)
             return EXIT_STOPPED
-    return _show(path, args.gif, start=args.starts[-1].name)
+    return 0
 
 
 def _print_line(line: str) -> None:
@@ -255,20 +306,25 @@ def _draw(path: Path, gif: Path | None) -> int:
 
 
 def _show(path: Path, gif: Path | None, *, start: str | None = None) -> int:
-    """Prints what is stored as a table and in words, and draws it. start: of those in the GIF; None: the last."""
+    """Prints what is stored as a table and in words, draws it and writes the card of all. start: of those in the GIF;
+    None: the last."""
+    from kinetix_dist.atomic_files import replace_file
+    from kinetix_dist.finetune.card import overview_of
     from kinetix_dist.finetune.comparison import comparison
-    from kinetix_dist.finetune.results import draw, read_results
-    from kinetix_dist.finetune.specialists import FROM_SCRATCH
+    from kinetix_dist.finetune.results import draw
+    from kinetix_dist.stored_specialists import FROM_SCRATCH, best_of_levels, read_results
 
     records = read_results(path)
     lines = comparison([record for record in records if start is None or record["start"] in (start, FROM_SCRATCH)])
     say("\n".join((_table(records), *lines)), sys.stdout)
     with user_errors(OSError, prefix="the picture cannot be written: "):
         draw(records, path / PICTURE_NAME)
+        replace_file(path / CARD_NAME, overview_of(records, path).encode(), is_shared=True)
     print(f"picture  {path / PICTURE_NAME}")
+    print(f"cards    {path / CARD_NAME}")
     if gif is not None:
         start = start or records[-1]["start"]
-        _write_gif(gif, path, [record for record in records if record["start"] == start])
+        _write_gif(gif, path, best_of_levels([record for record in records if record["start"] == start]))
     return 0
 
 
@@ -291,6 +347,7 @@ def _table(records: Sequence[Record]) -> str:
     table = Table(title="Specialists: solve rates, and environment steps to them")
     table.add_column("level", no_wrap=True)
     table.add_column("start", no_wrap=True)
+    table.add_column("seed", justify="right", no_wrap=True)
     columns = ("before", *(f"to {threshold:.0%}" for threshold in THRESHOLDS), "end, % (95 %)", "seconds")
     for header in columns:
         table.add_column(header, justify="right", no_wrap=True)
@@ -300,6 +357,7 @@ def _table(records: Sequence[Record]) -> str:
         table.add_row(
             record["level"],
             record["label"],
+            str(record["seed"]),
             f"{before['solved'] / before['attempts']:.0%}",
             *("-" if count is None else f"{count:,}" for count in steps),
             f"{100 * final['rate']:.0f} ({100 * final['low']:.0f}-{100 * final['high']:.0f})",

@@ -6,6 +6,9 @@ The main thread waits for the thread to take a shard, and is unblocked by it, al
 the settings, the seed and k alone, so that a collection that was killed goes on with the shards that are missing.
 World w of shard k plays level number k W + w of a shuffled round over all levels: every level is played by as many
 worlds as any other.
+
+Where each level has players of its own (`Collection.turns`), all worlds of shard k play level k mod L, by player
+(k // L) mod n of the n that it has: one program plays all of them, with other parameters.
 """
 
 from __future__ import annotations
@@ -39,6 +42,14 @@ COLLECT_STREAM = 0x434F4C4C  # "COLL": key of actions, and of the order of level
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class Turn:
+    """Player of a level, for a shard at a time."""
+
+    player: Player
+    version: int  # updates that it has learned from
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class Collection:
     """Settings of a data set, apart from how many shards of it there are."""
 
@@ -52,8 +63,11 @@ class Collection:
     num_worlds: int
     num_steps: int  # of each world in a shard
     seed: int = 0
+    turns: tuple[tuple[Turn, ...], ...] = ()  # [L], of each level, instead of `player`; (): it plays all levels
 
     def __post_init__(self) -> None:
+        if self.turns and len(self.turns) != len(self.level_names):
+            raise ValueError(f"players of {len(self.turns)} levels for {len(self.level_names)}")
         if self.num_steps < (most := self.env.config.max_steps):
             raise DatasetError(
                 f"a shard has {self.num_steps} steps of each of {self.num_worlds} worlds, and an episode up to {most}: "
@@ -87,9 +101,18 @@ class Collection:
     def level_numbers(self, shard: int) -> np.ndarray:
         """[W] int32 level of each world."""
         num_levels = len(self.level_names)
+        if self.turns:
+            return np.full(self.num_worlds, shard % num_levels, np.int32)
         slots = shard * self.num_worlds + np.arange(self.num_worlds)
         rounds = {turn: self._order(turn) for turn in set((slots // num_levels).tolist())}
         return np.array([rounds[slot // num_levels][slot % num_levels] for slot in slots.tolist()], np.int32)
+
+    def turn(self, shard: int) -> Turn:
+        """Player of a shard."""
+        if not self.turns:
+            return Turn(player=self.player, version=self.policy["version"])
+        own = self.turns[shard % len(self.turns)]
+        return own[shard // len(self.turns) % len(own)]
 
     def _order(self, turn: int) -> np.ndarray:
         return np.random.default_rng((self.seed, COLLECT_STREAM, turn)).permutation(len(self.level_names))
@@ -163,7 +186,7 @@ def _is_there(folder: Path, shard: Shard) -> bool:
 def _play(collection: Collection, pool: LevelPool, number: int) -> Played:
     key = prng.fold_in(prng.fold_in(prng.key(collection.seed), COLLECT_STREAM), number)
     prepared = pool.select(collection.level_numbers(number))
-    policy, params = collection.player
+    policy, params = collection.turn(number).player
     return play(collection.env, policy, collection.disturbance, collection.num_steps, params, prepared, key)
 
 
@@ -195,5 +218,5 @@ def rows_of(collection: Collection, number: int, played: Played) -> Transitions:
         chosen_by=flat.chosen_by,
         episode=begin.reshape(-1) + np.int64(number) * collection.rows_per_shard,
         step=(row - begin).astype(np.int32).reshape(-1),
-        policy_version=np.full(num_worlds * num_steps, collection.policy["version"], np.int32),
+        policy_version=np.full(num_worlds * num_steps, collection.turn(number).version, np.int32),
     )

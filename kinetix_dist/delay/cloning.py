@@ -53,13 +53,28 @@ class CloningConfig:
             )
 
 
+class Learned(NamedTuple):
+    """Training after some steps: all that the next ones follow from, with the settings and the samples."""
+
+    steps: int
+    params: Any
+    state: Any  # of the optimiser
+
+
 class Progress(NamedTuple):
     """After a report's steps."""
 
-    steps: int
+    learned: Learned
     loss: float  # mean over the steps since the last report
     held_out_loss: float
-    params: Any
+
+    @property
+    def steps(self) -> int:
+        return self.learned.steps
+
+    @property
+    def params(self) -> Any:
+        return self.learned.params
 
 
 def split_episodes(left: np.ndarray, held_out: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -75,6 +90,15 @@ def split_episodes(left: np.ndarray, held_out: float, seed: int) -> tuple[np.nda
     return np.flatnonzero(~of_row), np.flatnonzero(of_row)
 
 
+def untrained(policy: ChunkPolicy, env: Environment, samples: Samples, config: CloningConfig) -> Learned:
+    """Training before its first step."""
+    of_params, _, _ = _keys(config)
+    first = samples._replace(dynamic_obs=jax.tree.map(lambda x: x[:1], samples.dynamic_obs), level=samples.level[:1])
+    obs, _ = observations(env, jax.tree.map(jnp.asarray, first), jnp.zeros(1, jnp.int32))
+    params = init_params(policy, obs, of_params)
+    return Learned(0, params, _optimizer(config).init(params))
+
+
 def clone(
     policy: ChunkPolicy,
     env: Environment,
@@ -82,27 +106,28 @@ def clone(
     config: CloningConfig,
     *,
     max_delay: int = 0,
+    begun: Learned | None = None,
     on_report: Callable[[Progress], None] = lambda progress: None,
 ) -> Any:
-    """Parameters after `config.steps`. max_delay: `FlowConfig.max_delay`; on_report: gets each report. Raises
-    ValueError for too few episodes."""
+    """Parameters after `config.steps`. max_delay: `FlowConfig.max_delay`; begun: from which it goes on, after a
+    multiple of `config.report_every` steps; on_report: gets each report. Raises ValueError for too few episodes."""
     train, held_out = split_episodes(np.asarray(samples.left), config.held_out, config.seed)
-    of_params, of_batches, of_held_out = prng.split(prng.fold_in(prng.key(config.seed), CLONING_STREAM), 3)
+    _, of_batches, of_held_out = _keys(config)
     chosen = np.random.default_rng((config.seed, CLONING_STREAM, 1)).permutation(held_out)[: config.held_out_batch]
     samples, train, chosen = jax.tree.map(jnp.asarray, (samples, train.astype(np.int32), chosen.astype(np.int32)))
-    params = init_params(policy, observations(env, samples, jnp.zeros(1, jnp.int32))[0], of_params)
-    state = _optimizer(config).init(params)
-    for first in range(0, config.steps, config.report_every):
-        learned, drawing = _Learned(params, state), _Drawing(of_batches, jnp.uint32(first), max_delay)
-        params, state, loss = _many_steps(policy, env, config, learned, samples, train, drawing)
+    learned = untrained(policy, env, samples, config) if begun is None else begun
+    while learned.steps < config.steps:
+        drawing = _Drawing(of_batches, jnp.uint32(learned.steps), max_delay)
+        params, state, loss = _many_steps(policy, env, config, learned[1:], samples, train, drawing)
+        learned = Learned(learned.steps + config.report_every, params, state)
         out = _loss(policy, env, params, samples, chosen, of_held_out, max_delay)
-        on_report(Progress(first + config.report_every, float(loss), float(out), params))
-    return params
+        on_report(Progress(learned, float(loss), float(out)))
+    return learned.params
 
 
-class _Learned(NamedTuple):
-    params: Any
-    state: Any  # of the optimiser
+def _keys(config: CloningConfig) -> Array:
+    """Keys of parameters, batches and held-out samples."""
+    return prng.split(prng.fold_in(prng.key(config.seed), CLONING_STREAM), 3)
 
 
 class _Drawing(NamedTuple):
@@ -116,24 +141,25 @@ def _many_steps(
     policy: ChunkPolicy,
     env: Environment,
     config: CloningConfig,
-    learned: _Learned,
+    learned: tuple[Any, Any],
     samples: Samples,
     train: Array,
     drawing: _Drawing,
 ) -> tuple[Any, Any, Array]:
-    """(parameters, state, mean loss) after `report_every` steps."""
+    """(parameters, state, mean loss) after `report_every` steps. learned: parameters and state before."""
     optimizer, (key, first, max_delay) = _optimizer(config), drawing
 
-    def step(now: _Learned, number: Array) -> tuple[_Learned, Array]:
+    def step(now: tuple[Any, Any], number: Array) -> tuple[tuple[Any, Any], Array]:
+        params, state = now
         of_rows, of_loss = prng.split(prng.fold_in(key, number))
         rows = train[prng.randint(of_rows, (config.batch,), 0, train.shape[0])]
         learn = jax.value_and_grad(_loss, argnums=2)
-        loss, gradient = learn(policy, env, now.params, samples, rows, of_loss, max_delay)
-        change, state = optimizer.update(gradient, now.state, now.params)
-        return _Learned(optax.apply_updates(now.params, change), state), loss
+        loss, gradient = learn(policy, env, params, samples, rows, of_loss, max_delay)
+        change, state = optimizer.update(gradient, state, params)
+        return (optax.apply_updates(params, change), state), loss
 
-    learned, losses = jax.lax.scan(step, learned, first + jnp.arange(config.report_every, dtype=jnp.uint32))
-    return learned.params, learned.state, jnp.mean(losses)
+    (params, state), losses = jax.lax.scan(step, learned, first + jnp.arange(config.report_every, dtype=jnp.uint32))
+    return params, state, jnp.mean(losses)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))

@@ -1,6 +1,6 @@
 """Solve rates over delays: policies x methods x delays, on levels, as records.
 
-    contender_at(path)      a chunk policy or a policy of single actions, by its checkpoint
+    contender_at(path)      a chunk policy, a policy of single actions or one a level, by checkpoint or directory
     played(...)             episodes of one of them by one method at one delay; record_of: their rates
 
 Rates are those of levels, and their mean: each level counts alike. Two intervals go with a mean, at 95 %: that of the
@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ from kinetix_dist.evaluation.policies import Player
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import SIZES, Level
 from kinetix_dist.registry import Registry
+from kinetix_dist.stored_specialists import are_specialists, specialists_of
 from kinetix_dist.trained_policy import trained_at
 
 SYNCHRONOUS, NAIVE, TRAINING_TIME = "synchronous", "naive", "training_time_rtc"
@@ -61,10 +63,18 @@ class Contender:
 
     name: str
     env: Environment
-    chunks: ChunkPolicy | None  # None: `single` plays
+    chunks: ChunkPolicy | None  # None: `singles` play
     params: Params
-    single: Player | None = None
+    singles: tuple[tuple[Player, ...], ...] = ()  # [L] of each level, which share its attempts; [1]: of all levels
+    seeds: Mapping[str, Sequence[int]] = dataclasses.field(default_factory=dict)  # of specialists, by level
+    left_out: tuple[str, ...] = ()  # a line for each specialist that does not play
     max_delay: int = 0  # longest one that training simulated, of training-time RTC
+
+    @property
+    def single(self) -> Player | None:
+        """Player of all levels; None: chunks are played, or each level has its own."""
+        players = [player for own in self.singles for player in own]
+        return players[0] if len(players) == 1 else None
 
     @property
     def horizon(self) -> int:
@@ -83,13 +93,28 @@ class Contender:
         return None
 
 
-def contender_at(path: Path, levels: Level, *, weak: Path | None = None) -> Contender:
-    """The policy of a checkpoint, a run or a bundled name, for levels [L, ...] of any size that it plays.
+def contender_at(
+    path: Path, levels: Level, names: Sequence[str], *, weak: Path | None = None, min_rate: float | None = None
+) -> Contender:
+    """The policy of a checkpoint, a run, a bundled name or specialists of these levels [L, ...], of any size.
 
-    weak: checkpoint that bidirectional decoding takes for the weaker policy. Raises CheckpointError, ValueError or
-    UserError, one line.
+    weak: checkpoint that bidirectional decoding takes for the weaker policy. min_rate: of specialists, as
+    `specialists_of` takes it. Raises CheckpointError, ValueError or UserError, one line.
     """
     size = next(name for name, known in SIZES.items() if known == capacity_of(levels))
+    if are_specialists(path):
+        chosen = specialists_of(path, levels, names, min_rate=min_rate)
+        env = _environment(chosen.first.env_config(size))
+        singles = tuple(map(tuple, chosen.players(env, levels)))
+        return Contender(
+            name=str(path),
+            env=env,
+            chunks=None,
+            params=Params(None),
+            singles=singles,
+            seeds={own[0].level: [one.seed for one in own] for own in chosen.by_level},
+            left_out=chosen.left_out,
+        )
     checkpoint = stored_checkpoint(path)
     if checkpoint is not None and is_chunk_policy(checkpoint.description):
         trained = chunk_policy_of(checkpoint)
@@ -104,7 +129,8 @@ def contender_at(path: Path, levels: Level, *, weak: Path | None = None) -> Cont
         )
     newest = trained_at(path)
     env = _environment(newest.env_config(size))
-    return Contender(name=str(path), env=env, chunks=None, params=Params(None), single=newest.player(env, levels))
+    singles = ((newest.player(env, levels),),)
+    return Contender(name=str(path), env=env, chunks=None, params=Params(None), singles=singles)
 
 
 @functools.lru_cache(maxsize=8)
@@ -137,15 +163,40 @@ def played(
     if contender.chunks is not None:
         schedule.check()
 
-    def play(index: jax.Array) -> Episodes:
+    def play(index: jax.Array, single: Player | None = None) -> Episodes:
         these = Attempts(levels, key, index, index // attempts)
         if contender.chunks is None:
-            assert contender.single is not None
-            return play_single(contender.env, *contender.single, these, max_delay, schedule)
+            assert single is not None
+            return play_single(contender.env, *single, these, max_delay, schedule)
         chosen = METHODS[method]
         return play_chunks(contender.env, contender.chunks, chosen, contender.params, these, schedule)
 
-    return attempts_of_levels(play, num_levels, attempts)
+    if contender.singles and contender.single is None:
+        return _by_turns(play, contender.singles, attempts)
+    return attempts_of_levels(functools.partial(play, single=contender.single), num_levels, attempts)
+
+
+def _by_turns(
+    play: Callable[[jax.Array, Player], Episodes], singles: Sequence[Sequence[Player]], attempts: int
+) -> Episodes:
+    """Episodes [levels, attempts] of players of each level: attempt a is of player a mod n of the n that it has.
+
+    All are played by one program, a share of the attempts at a time, whose last ones repeat the last one.
+    """
+    size = math.ceil(attempts / max(map(len, singles)))
+    found: list[Episodes] = []
+    for level, players in enumerate(singles):
+        parts = []
+        for number, player in enumerate(players):
+            own = np.arange(number, attempts, len(players))
+            for first in range(0, len(own), size):
+                index = own[np.minimum(np.arange(first, first + size), len(own) - 1)]
+                episodes = jax.device_get(play(jnp.asarray(level * attempts + index), player))
+                count = min(size, len(own) - first)
+                parts.append((own[first : first + count], jax.tree.map(lambda x, n=count: x[:n], episodes)))
+        order = np.argsort(np.concatenate([index for index, _ in parts]))
+        found.append(jax.tree.map(lambda *xs, by=order: np.concatenate(xs)[by], *(part for _, part in parts)))
+    return jax.tree.map(lambda *xs: np.stack(xs), *found)
 
 
 def record_of(
@@ -176,7 +227,7 @@ def record_of(
         "mean_length": rates.total.mean_length,
         "mean_waiting": float(np.mean(waits)),
         "levels": [dataclasses.asdict(level) for level in rates.levels],
-    }
+    } | ({"seeds": dict(contender.seeds)} if contender.seeds else {})
 
 
 def with_differences(records: Sequence[Record], bases: Sequence[str]) -> list[Record]:

@@ -1,14 +1,13 @@
 """Comparison of specialists in words: steps from a policy and steps from scratch.
 
-lines = comparison(read_results("runs/finetune-designed_s"))
+lines = comparison(read_results(Path("runs/finetune-designed_s")))
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from kinetix_dist.finetune.results import Record
-from kinetix_dist.finetune.specialists import FROM_SCRATCH
+from kinetix_dist.stored_specialists import FROM_SCRATCH, Record
 
 THRESHOLD = 0.9  # solve rate whose steps are compared, one of results.THRESHOLDS
 
@@ -16,14 +15,24 @@ THRESHOLD = 0.9  # solve rate whose steps are compared, one of results.THRESHOLD
 def comparison(records: Sequence[Record]) -> list[str]:
     """A line for each level that has a specialist from scratch and one from a policy; none where nothing can be
     compared. A specialist that never reached the threshold says how far it came."""
-    scratch = {record["level"]: record for record in records if record["start"] == FROM_SCRATCH}
-    others = [record for record in records if record["start"] != FROM_SCRATCH and record["level"] in scratch]
-    width = max((len(record["level"]) for record in others), default=0)
-    return [
-        f"{record['level']:<{width}}  {_reached(record)}; {_reached(scratch[record['level']])}"
-        f"{_ratio(record, scratch[record['level']])}"
-        for record in others
+    scratch = {_key(record): record for record in records if record["start"] == FROM_SCRATCH}
+    others = [record for record in records if record["start"] != FROM_SCRATCH and _key(record) in scratch]
+    names = [
+        f"{record['level']} seed {_key(record)[1]}" if _has_seeds(records) else record["level"] for record in others
     ]
+    width = max(map(len, names), default=0)
+    return [
+        f"{name:<{width}}  {_reached(record)}; {_reached(scratch[_key(record)])}{_ratio(record, scratch[_key(record)])}"
+        for name, record in zip(names, others, strict=True)
+    ]
+
+
+def _key(record: Record) -> tuple[str, int]:
+    return record["level"], record.get("seed", 0)
+
+
+def _has_seeds(records: Sequence[Record]) -> bool:
+    return len({record.get("seed", 0) for record in records}) > 1
 
 
 def _reached(record: Record) -> str:

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -14,68 +15,95 @@ import numpy as np
 from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import UserError, user_errors
-from kinetix_dist.finetune.results import Record, ResultsDirectory, design_of
+from kinetix_dist.finetune.results import Key, ResultsDirectory, design_of
 from kinetix_dist.finetune.specialists import SCRATCH, Specialists, Start
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.runtime import starting_point
+from kinetix_dist.stored_specialists import Record
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
 
 
-def train_each(
-    config: TrainConfig,
-    starts: Sequence[Start],
-    path: Path,
-    *,
-    stop_at: float = 0.0,
-    part: tuple[int, int] = (0, 1),
-    together: int = 1,
-    report: Callable[[str], None] = lambda line: None,
-) -> None:
-    """Trains what the results directory at `path` does not hold yet: each level of `config.curriculum.levels`.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Specialists of a command: each level from each start, with each seed."""
 
-    part: (k, n): only levels k, k + n, k + 2 n, ... together: specialists at a time, stored when all have ended.
-    report: gets a line for a person about each. Raises UserError, before anything is computed for long, for levels and
-    starts that do not fit, and for a directory of another design.
-    """
+    starts: tuple[Start, ...]
+    seeds: tuple[int, ...] = ()  # (): that of the configuration alone, which names no directory
+    stop_at: float = 0.0
+    part: tuple[int, int] = (0, 1)  # (k, n): only those with numbers k, k + n, k + 2 n, ...
+    together: int = 1  # specialists at a time, stored when all have ended
+
+    def keys(self, names: Sequence[str]) -> list[Key]:
+        """Specialists of the part: seed by seed, level by level, start by start."""
+        trained = [(seed, name) for seed in self.seeds or (None,) for name in names]
+        chosen = trained[self.part[0] :: self.part[1]]
+        return [Key(start, name, seed) for seed, name in chosen for start in self.starts]
+
+
+class Prepared(NamedTuple):
+    """Levels and configuration of a command, read and checked."""
+
+    config: TrainConfig
+    levels: Level
+    names: list[str]
+    design: Record
+
+
+def prepare(config: TrainConfig, plan: Plan) -> Prepared:
+    """Levels and design of the specialists. Raises UserError for levels and settings that they cannot have."""
     config = _alone(config)
     with user_errors(ValueError, OSError):
         levels, names = load_level_set(config.curriculum.levels, config.env.size)
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise UserError(f"{config.curriculum.levels} has more than one level {twice[0]!r}; rename one of the files")
+    design = design_of(config, levels, names, stop_at=plan.stop_at, has_seeds=bool(plan.seeds))
+    return Prepared(config, levels, names, design)
+
+
+def train_each(
+    config: TrainConfig, plan: Plan, path: Path, *, report: Callable[[str], None] = lambda line: None
+) -> None:
+    """Trains what the results directory at `path` does not hold yet: each level of `config.curriculum.levels`.
+
+    report: gets a line for a person about each. Raises UserError, before anything is computed for long, for levels and
+    starts that do not fit, and for a directory of another design.
+    """
+    config, levels, names, design = prepare(config, plan)
     with user_errors(CheckpointError):  # before the directory is claimed for a design that cannot be trained
-        arrays = {start.name: starting_point(_starting(config, start)).arrays for start in starts}
-    results = ResultsDirectory(path, design_of(config, levels, names, stop_at=stop_at))
+        arrays = {start.name: starting_point(_starting(config, start)).arrays for start in plan.starts}
+    results = ResultsDirectory(path, design)
     try:
-        own = range(part[0], len(names), part[1])
-        todo = [(i, start) for i in own for start in starts if results.done(start, names[i]) is None]
-        if num_done := len(own) * len(starts) - len(todo):
-            report(f"{num_done} of {len(own) * len(starts)} specialists are there already")
+        keys = plan.keys(names)
+        todo = [key for key in keys if results.done(key) is None]
+        if num_done := len(keys) - len(todo):
+            report(f"{num_done} of {len(keys)} specialists are there already")
         if not todo:
             return
-        size = even_size(len(todo), together)
+        size = even_size(len(todo), plan.together)
         with user_errors(ValueError):
-            specialists = Specialists(config, stop_at=stop_at, together=size)
+            specialists = Specialists(config, stop_at=plan.stop_at, together=size)
             first = _filled(todo[:size], size)
-            seconds = specialists.compile(_levels_of(first, levels), [arrays[start.name] for _, start in first])
+            seconds = specialists.compile(_levels_of(first, levels, names), [arrays[key.start.name] for key in first])
         report(f"compiled in {seconds:.0f} s, once for all specialists")
         for turn in range(0, len(todo), size):
             now = todo[turn : turn + size]
             filled, began = _filled(now, size), time.monotonic()
-            first_name, start = names[now[0][0]], now[0][1]
-            more = f" and {len(now) - 1} more" if len(now) > 1 else f" {start.label}"
-            progress = _Progress(config, f"{turn + 1}/{len(todo)} {first_name}{more}", size)
+            more = f" and {len(now) - 1} more" if len(now) > 1 else f" {now[0].start.label}"
+            progress = _Progress(config, f"{turn + 1}/{len(todo)} {now[0].level}{more}", size)
             try:
                 trained = specialists.train(
-                    _levels_of(filled, levels),
-                    [arrays[start.name] for _, start in filled],
+                    _levels_of(filled, levels, names),
+                    [arrays[key.start.name] for key in filled],
+                    seeds=[_seed_of(config, key) for key in filled],
                     on_update=progress.update,
                 )
             finally:
                 progress.close()
             seconds = (time.monotonic() - began) / len(now)
-            for i, ((number, start), specialist) in enumerate(zip(now, trained)):
-                record = results.add(start, names[number], specialist, _starting(config, start))
+            for i, (key, specialist) in enumerate(zip(now, trained)):
+                own = _starting(config, key.start, seed=_seed_of(config, key))
+                record = results.add(key, specialist, own, _levels_of([key], levels, names))
                 report(f"{turn + i + 1}/{len(todo)}  {summary(record)}, {seconds:.0f} s")
     finally:
         results.close()
@@ -89,7 +117,7 @@ def summary(record: Record) -> str:
     ]
     final = record["final"]
     end = f"{final['rate']:.0%} ({final['low']:.0%}-{final['high']:.0%}) at {record['env_steps']:,}"
-    return f"{record['level']} {record['label']}: {', '.join(reached)}; {end}"
+    return f"{record['level']} {record['label']}, seed {record['seed']}: {', '.join(reached)}; {end}"
 
 
 class _Progress:
@@ -140,11 +168,13 @@ def _alone(config: TrainConfig) -> TrainConfig:
     return _starting(config, SCRATCH)  # what parameters are at the start is no matter of the programs
 
 
-def _starting(config: TrainConfig, start: Start) -> TrainConfig:
-    return dataclasses.replace(config, run=dataclasses.replace(config.run, start_from=start.checkpoint))
+def _starting(config: TrainConfig, start: Start, *, seed: int | None = None) -> TrainConfig:
+    seed = config.run.seed if seed is None else seed
+    return dataclasses.replace(config, run=dataclasses.replace(config.run, start_from=start.checkpoint, seed=seed))
 
 
-Todo = tuple[int, Start]  # number of a level, and what its specialist starts from
+def _seed_of(config: TrainConfig, key: Key) -> int:
+    return config.run.seed if key.seed is None else key.seed
 
 
 def even_size(count: int, limit: int) -> int:
@@ -152,12 +182,12 @@ def even_size(count: int, limit: int) -> int:
     return math.ceil(count / math.ceil(count / limit))
 
 
-def _filled(now: Sequence[Todo], size: int) -> list[Todo]:
+def _filled(now: Sequence[Key], size: int) -> list[Key]:
     """As many as one program trains: the last once more where there are fewer."""
     return [*now, *[now[-1]] * (size - len(now))]
 
 
-def _levels_of(todo: Sequence[Todo], levels: Level) -> Level:
-    """[todo, ...]"""
-    numbers = np.array([number for number, _ in todo])
+def _levels_of(keys: Sequence[Key], levels: Level, names: Sequence[str]) -> Level:
+    """[keys, ...]"""
+    numbers = np.array([names.index(key.level) for key in keys])
     return jax.tree.map(lambda x: np.asarray(x)[numbers], levels)

@@ -1,7 +1,7 @@
 """Playing several levels in one program, each by a policy of its own: the worlds of `Specialists`.
 
-Worlds lie specialist by specialist, with the random numbers that each has when it plays alone, so that a specialist is
-the same whichever others it trains beside.
+Worlds lie specialist by specialist, with the random numbers that each has when it plays alone with its seed, so that a
+specialist is the same whichever others it trains beside.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,11 +24,18 @@ from kinetix_dist.evaluation.evaluate import play_attempts
 from kinetix_dist.evaluation.policies import NetworkPolicy
 from kinetix_dist.level.level import Level
 from kinetix_dist.models.several_policies import SeveralPolicies
-from kinetix_dist.runtime import EVALUATION_STREAM, Batch, Players, RolloutCore, check_memory
+from kinetix_dist.runtime import EVALUATION_STREAM, PLAY, Batch, Players, RolloutCore, check_memory, stream
+
+
+class SeededLevels(NamedTuple):
+    """Level and seed of each specialist, which programs take as arguments."""
+
+    levels: Level  # [specialists, ...]
+    seeds: Array  # [specialists] uint32
 
 
 class _OneLevelEach(Curriculum):
-    """Specialist i plays level i of the state, [specialists, ...], alone."""
+    """Specialist i plays level i of the state, `SeededLevels`, alone."""
 
     draws_levels = False
     sources = ()  # all levels are counted one by one
@@ -52,11 +59,12 @@ class _OneLevelEach(Curriculum):
     def propose(self, state: Any, group_keys: Array, groups: Array) -> Proposal:
         del group_keys, groups
         index = jnp.repeat(jnp.arange(self._num_specialists), self._num_envs)
-        return Proposal(levels=jax.tree.map(lambda x: jnp.asarray(x)[index], state), source=index)
+        return Proposal(levels=jax.tree.map(lambda x: jnp.asarray(x)[index], state.levels), source=index)
 
 
 class _RepeatedGroups(RolloutCore):
-    """Rollout in which the groups of each specialist have the numbers, and so the actions, of the first one's."""
+    """Rollout in which the groups of each specialist have the numbers of the first one's, and so the actions of a run
+    with its seed."""
 
     def __init__(self, config: TrainConfig, players: Players, mesh: Mesh, *, groups: range, repeats: int) -> None:
         self._num_groups = len(groups)
@@ -65,6 +73,11 @@ class _RepeatedGroups(RolloutCore):
     @property
     def group_numbers(self) -> Array:
         return super().group_numbers % self._num_groups
+
+    def play_key(self, state: SeededLevels, num_updates: Array) -> Array:
+        """[W], specialist by specialist."""
+        keys = jax.vmap(lambda seed: prng.fold_in(stream(seed, PLAY), num_updates))(state.seeds)
+        return jnp.repeat(keys, self._num_groups * self._config.rollout.worlds_per_group)
 
 
 class JointRollout:
@@ -89,9 +102,9 @@ class JointRollout:
             joint, Players(env, policy, levels), mesh, groups=range(worlds.num_groups), repeats=num_specialists
         )
 
-    def play(self, params: Sequence[Any], levels: Any, num_updates: int) -> tuple[list[Batch], dict[str, Any]]:
-        """(batch of each specialist, sums over all worlds). params: of each; levels [specialists, ...]."""
-        played = self._rollout.play(tuple(params), levels, num_updates)
+    def play(self, params: Sequence[Any], seeded: SeededLevels, num_updates: int) -> tuple[list[Batch], dict[str, Any]]:
+        """(batch of each specialist, sums over all worlds). params: of each."""
+        played = self._rollout.play(tuple(params), seeded, num_updates)
         return _batches(played.batch, self.num_specialists), played.sums
 
     def evaluate(self, params: Sequence[Any], levels: Level, attempts: int) -> list[tuple[int, int]]:

@@ -23,10 +23,10 @@ from kinetix_dist import prng
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.recordings import record_rollouts
-from kinetix_dist.finetune.results import Record
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.runtime import make_environment
+from kinetix_dist.stored_specialists import Record, policy_path
 from kinetix_dist.telemetry.pictures import grid_scale, write_grid_gif
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.trained_policy import Trained, checkpoint_at
@@ -53,7 +53,7 @@ def play_specialists(path: Path, records: Sequence[Record]) -> list[PlayedLevel]
     """How at most `MAX_LEVELS` specialists of one start play: before and after where the start is a checkpoint that can
     still be read, else after alone. Raises UserError for a policy or a level that cannot be read."""
     records = records[:MAX_LEVELS]
-    specialists = [checkpoint_at(path / record["start"] / record["level"]) for record in records]
+    specialists = [checkpoint_at(policy_path(path, record)) for record in records]
     config = specialists[0].config  # levels and environment are those of all
     with user_errors(ValueError, OSError):
         levels, names = load_level_set(config.curriculum.levels, config.env.size)

@@ -3,21 +3,24 @@
     OUT/design.json              the design: another one is refused
     OUT/scratch/hop_home.json    one specialist: its curve, samples to each threshold, final rate, seconds
     OUT/scratch/hop_home/        its policy, a checkpoint of parameters
+    OUT/scratch/hop_home.md      its card (card.py)
     OUT/sfl_s/hop_home.json      the same from a policy
+    OUT/scratch-seed-3/...       the same with `--seeds`
     OUT/samples.png              drawn from the JSON files alone
 
-The JSON file of a specialist is written last, by one rename: where it is, the specialist is done.
+`stored_specialists.py` reads them. The JSON file of a specialist is written last, by one rename: where it is, the
+specialist is done.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
+import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -25,76 +28,88 @@ import numpy as np
 from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.checkpoint import flatten_arrays, save_alone
 from kinetix_dist.config import TrainConfig, differing, numbers_of, to_dict
-from kinetix_dist.errors import UserError, one_line, user_errors
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX
-from kinetix_dist.finetune.specialists import FROM_SCRATCH, Point, Specialist, Start
+from kinetix_dist.finetune.card import card_of
+from kinetix_dist.finetune.specialists import Point, Specialist, Start
+from kinetix_dist.level.fingerprints import fingerprint
 from kinetix_dist.level.level import Level
 from kinetix_dist.runtime import LOCK_NAME, RunDirectoryError, lock_directory, versions
-from kinetix_dist.text_files import read_json
+from kinetix_dist.stored_specialists import DESIGN_NAME, FORMAT, Record, digest_of, folder_of, read_stored
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FORMAT = 1
-DESIGN_NAME = "design.json"
+CARD_SUFFIX = ".md"
+LOGS = "logs"  # of processes in worker slots
+SEEDS = "--seeds"  # run.seed of a design whose specialists have seeds of their own
 THRESHOLDS = (0.5, 0.9)  # solve rates whose samples are compared
 
-Record = dict[str, Any]
-_OF_A_DESIGN: dict[str, type] = {"levels": dict}  # what a file has to have to be read
-_OF_A_SPECIALIST: dict[str, type] = {
-    "level": str,
-    "start": str,
-    "label": str,
-    "env_steps_to": dict,
-    "final": dict,
-    "seconds": dict,
-    "curve": list,
-}
+
+class Key(NamedTuple):
+    """One specialist of a directory."""
+
+    start: Start
+    level: str
+    seed: int | None = None  # of `--seeds`; None: run.seed is that of all
 
 
-def design_of(config: TrainConfig, levels: Level, names: Sequence[str], *, stop_at: float) -> Record:
+def design_of(
+    config: TrainConfig, levels: Level, names: Sequence[str], *, stop_at: float, has_seeds: bool = False
+) -> Record:
     """Design of a directory, which all its specialists share whatever they start from: plain values.
 
-    config: without a start. levels [L, ...] with their names; a level that was changed makes another design.
+    config: without a start. levels [L, ...] with their names; a level that was changed makes another design. has_seeds:
+    each has a seed of its own, and more seeds may join them.
     """
     numbers = numbers_of(config)
     run = numbers["run"] | {"total_env_steps": config.run.total_env_steps, "max_seconds": config.run.max_seconds}
+    if has_seeds:
+        run["seed"] = SEEDS
     return numbers | {
         "format": FORMAT,
         "run": run,
         "stop_at": stop_at,
         "evaluation": {"every": config.evaluation.every, "attempts": config.evaluation.attempts_of(1)},
-        "levels": {name: _digest(jax.tree.map(lambda x, i=i: x[i], levels)) for i, name in enumerate(names)},
+        "levels": {name: digest_of(jax.tree.map(lambda x, i=i: x[i], levels)) for i, name in enumerate(names)},
     }
 
 
 class ResultsDirectory:
-    """Results of one design, for one process at a time. Raises UserError where the directory is of another design, in
-    use, or cannot be written."""
+    """Results of one design, for one process at a time and its children. Raises UserError where the directory is of
+    another design, in use, or cannot be written.
 
-    def __init__(self, path: Path, design: Record) -> None:
+    A child finds it locked by its parent, and works in it without a lock of its own (`cli/specialist_slots.py`).
+    """
+
+    def __init__(self, path: Path, design: Record, *, is_parent: bool = False) -> None:
+        """is_parent: children train, and write the design: levels are not the same to the bit on a CPU and a GPU."""
         self.path = path
         with user_errors(OSError, prefix=f"{path} cannot be written: "):
             path.mkdir(parents=True, exist_ok=True)
-            is_new = not (path / DESIGN_NAME).exists()
-            if is_new and any(file.name != LOCK_NAME for file in path.iterdir()):
+            there = {file.name for file in path.iterdir() if not file.name.startswith(".")} - {LOCK_NAME, LOGS}
+            is_new = DESIGN_NAME not in there
+            if is_new and there:
                 raise UserError(f"{path} holds other files and no {DESIGN_NAME}; choose an empty directory")
             if not is_new:
-                self._check(design)
+                self._check(design, is_parent=is_parent)
             with user_errors(RunDirectoryError):
-                self._lock = lock_directory(path)
-            if is_new:
-                _write_json(path / DESIGN_NAME, design)
+                self._lock = None if _is_held_by_parent(path) else lock_directory(path)
+            if is_new and not is_parent:
+                replace_file(path / DESIGN_NAME, _json(design), is_shared=True)
 
     def close(self) -> None:
         """Lets others have the directory."""
-        self._lock.close()
+        if self._lock is not None:
+            self._lock.close()
 
-    def _check(self, design: Record) -> None:
-        stored = _read_json(self.path / DESIGN_NAME)
+    def _check(self, design: Record, *, is_parent: bool) -> None:
+        stored = read_stored(self.path / DESIGN_NAME)
         if stored.get("format") != FORMAT:
             raise UserError(f"{self.path} has format {stored.get('format')!r}; this version reads {FORMAT}")
+        if is_parent:
+            design, stored = (one | {"levels": dict.fromkeys(one["levels"], "")} for one in (design, stored))
         if differs := differing(design, stored):
             more = f" and {len(differs) - 1} more" if len(differs) > 1 else ""
             raise UserError(
@@ -102,14 +117,14 @@ class ResultsDirectory:
                 "options that it was made with"
             )
 
-    def done(self, start: Start, level: str) -> Record | None:
+    def done(self, key: Key) -> Record | None:
         """Stored results of a specialist; None where it is still to be trained. Raises UserError where it started from
         another policy of the same name."""
-        file = self._file(start, level)
+        file = file_of(self.path, key)
         if not file.exists():
             return None
-        stored = _read_json(file)
-        theirs, ours = stored["from"], start.description
+        stored = read_stored(file)
+        theirs, ours = stored["from"], key.start.description
         if (theirs or {}).get("sha256") != (ours or {}).get("sha256"):
             raise UserError(
                 f"{file} is of a specialist from another policy ({(theirs or {}).get('checkpoint')}); choose another "
@@ -117,10 +132,11 @@ class ResultsDirectory:
             )
         return stored
 
-    def add(self, start: Start, level: str, specialist: Specialist, config: TrainConfig) -> Record:
-        """Stores a specialist: its policy, then its figures. Returns these. Raises UserError for a full disk."""
-        file = self._file(start, level)
-        record = record_of(start, level, specialist)
+    def add(self, key: Key, specialist: Specialist, config: TrainConfig, level: Level) -> Record:
+        """Stores a specialist: its policy, its card, then its figures. Returns these. config: with its start and seed;
+        level [1, ...]. Raises UserError for a full disk."""
+        file = file_of(self.path, key)
+        record = record_of(key, specialist, config) | {"fingerprint": fingerprint(level)}
         with user_errors(OSError, prefix=f"{file} cannot be written: "):
             file.parent.mkdir(exist_ok=True)
             policy = file.with_suffix("")
@@ -131,28 +147,53 @@ class ResultsDirectory:
                 "config_hash": config.hash,
                 "env_steps": record["env_steps"],
                 "training_seconds": record["seconds"]["training"],
-                "level": level,
+                "level": key.level,
             }
             save_alone(policy, specialist.points[-1].updates, arrays, description)
-            _write_json(file, record)
+            replace_file(file.with_suffix(CARD_SUFFIX), card_of(record, config, policy).encode())
+            replace_file(file, _json(record))
         return record
 
-    def _file(self, start: Start, level: str) -> Path:
-        return self.path / start.name / f"{level}.json"
+
+def file_of(path: Path, key: Key) -> Path:
+    """Figures of a specialist in the results at `path`."""
+    return path / folder_of(key.start.name, key.seed) / f"{key.level}.json"
 
 
-def record_of(start: Start, level: str, specialist: Specialist) -> Record:
+def _is_held_by_parent(path: Path) -> bool:
+    """True where the process that started this one works in the directory: it gives its children parts (`--slots`)."""
+    try:
+        holder = (path / LOCK_NAME).read_text().strip()
+    except (OSError, ValueError):
+        return False
+    return holder == str(os.getppid()) and not _can_lock(path)
+
+
+def _can_lock(path: Path) -> bool:
+    try:
+        lock_directory(path).close()
+    except RunDirectoryError:
+        return False
+    return True
+
+
+def record_of(key: Key, specialist: Specialist, config: TrainConfig) -> Record:
     """The figures of a specialist as JSON."""
     last = specialist.points[-1]
     low, high = wilson_interval(last.solved, last.attempts)
+    start = key.start
     return {
-        "level": level,
+        "level": key.level,
+        "seed": config.run.seed,
         "start": start.name,
         "label": start.label,
         "from": start.description,
         "env_steps_to": {str(threshold): env_steps_to(specialist.points, threshold) for threshold in THRESHOLDS},
         "final": {"rate": last.rate, "low": low, "high": high, "attempts": last.attempts},
         "env_steps": last.env_steps,
+        "num_parameters": sum(int(np.size(array)) for array in jax.tree.leaves(specialist.params)),
+        "config_hash": config.hash,
+        "device": jax.devices()[0].device_kind,
         "seconds": {
             "training": round(specialist.training_seconds, 3),
             "evaluation": round(specialist.evaluation_seconds, 3),
@@ -169,44 +210,8 @@ def env_steps_to(points: Sequence[Point], threshold: float) -> int | None:
     return next((point.env_steps for point in points if point.rate >= threshold), None)
 
 
-def read_results(path: Path) -> list[Record]:
-    """All that is stored in a directory: starts in order, from scratch first, and levels in the order of the design.
-    Raises UserError where there is nothing."""
-    if not (path / DESIGN_NAME).is_file():
-        raise UserError(f"{path} holds no results of specialists (no {DESIGN_NAME}); give a directory that has them")
-    levels = list(_read_json(path / DESIGN_NAME)["levels"])
-    records = [_read_json(file) for file in path.glob("*/*.json") if file.stem in levels]
-    if not records:
-        raise UserError(f"{path} holds no finished specialist yet")
-    return sorted(records, key=lambda one: (one["start"] != FROM_SCRATCH, one["start"], levels.index(one["level"])))
-
-
-def _digest(level: Level) -> str:
-    """Digest of all numbers of a level."""
-    digest = hashlib.sha256()
-    for name, array in sorted(flatten_arrays(level).items()):
-        digest.update(f"{name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
-
-
-def _write_json(file: Path, content: Mapping[str, Any]) -> None:
-    replace_file(file, (json.dumps(content, indent=1) + "\n").encode())
-
-
-def _read_json(file: Path) -> Record:
-    """Raises UserError, one line, for a file that is damaged."""
-    is_design = file.name == DESIGN_NAME
-    advice = "choose another directory" if is_design else "remove it, and its specialist is trained again"
-    try:
-        content = read_json(file)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{file} cannot be read ({one_line(error)}); {advice}") from None
-    if not isinstance(content, dict):
-        raise UserError(f"{file} holds no object; {advice}")
-    for name, expected in (_OF_A_DESIGN if is_design else _OF_A_SPECIALIST).items():
-        if not isinstance(content.get(name), expected):
-            raise UserError(f"{file} is damaged: {name!r} is missing or of another type; {advice}")
-    return content
+def _json(content: Mapping[str, Any]) -> bytes:
+    return (json.dumps(content, indent=1) + "\n").encode()
 
 
 COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#ff7f0e")  # of starts, in their order

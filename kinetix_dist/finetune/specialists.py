@@ -2,10 +2,11 @@
 
     Specialists(config)                         builds the programs: rollout, update, evaluation
     .compile(levels, starts)                    compiles them, on one level each
-    .train(levels, starts) -> [Specialist]      trains afresh on these; nothing is compiled again
+    .train(levels, starts, seeds=...)           trains afresh on these; nothing is compiled again
 
-Levels are the state of a curriculum, an argument of the program that plays, and so are parameters: programs depend on
-the size of levels and on how many there are alone. Several at once play in one program, and learn one after another.
+Levels and seeds are the state of a curriculum, an argument of the program that plays, and so are parameters: programs
+depend on the size of levels and on how many there are alone. Several at once play in one program, and learn one after
+another.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import numpy as np
 from kinetix_dist.checkpoint.manifest import MANIFEST_NAME
 from kinetix_dist.config import ConfigError, TrainConfig
 from kinetix_dist.errors import UserError
-from kinetix_dist.finetune.joint_rollout import JointRollout
+from kinetix_dist.finetune.joint_rollout import JointRollout, SeededLevels
 from kinetix_dist.learner.sharding import data_mesh, local_values, replicate
 from kinetix_dist.learner.state import LearnerState
 from kinetix_dist.level.level import Level
@@ -37,9 +38,8 @@ from kinetix_dist.runtime import (
     make_environment,
     training_metrics,
 )
+from kinetix_dist.stored_specialists import FROM_SCRATCH
 from kinetix_dist.trained_policy import Trained, checkpoint_at, newest_checkpoint_of
-
-FROM_SCRATCH = "scratch"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -156,10 +156,10 @@ class Specialists:
     def compile(self, levels: Level, starts: Sequence[Arrays | None]) -> float:
         """Plays, learns and evaluates once, so that clocks of specialists hold no compilation; s it took."""
         began = time.monotonic()
-        states, levels = self._begun(starts), replicate(levels, self._mesh)
+        states, seeded = self._begun(levels, starts, None)
         for update in range(2):  # what the second is given lies where the first left it
-            self._update(states, levels, update, range(len(states)))
-        self._evaluate(states, levels, 0)
+            self._update(states, seeded, update, range(len(states)))
+        self._evaluate(states, seeded.levels, 0)
         return time.monotonic() - began
 
     def train(
@@ -167,15 +167,18 @@ class Specialists:
         levels: Level,
         starts: Sequence[Arrays | None],
         *,
+        seeds: Sequence[int] | None = None,
         on_update: Callable[[int, Mapping[str, float]], None] = lambda number, metrics: None,
     ) -> list[Specialist]:
         """A specialist for each of `levels` ([together, ...] on every field).
 
-        starts: parameters of each as `starting_point` gives them; None: from the seed. on_update: called with the
-        number of updates done and the metrics of what was played in the last. Seconds of all are shared out equally.
+        starts: parameters of each as `starting_point` gives them; None: from its seed. seeds: of each; None: that of
+        the configuration. on_update: called with the number of updates done and the metrics of what was played in the
+        last. Seconds of all are shared out equally.
         """
+        states, seeded = self._begun(levels, starts, seeds)
+        levels = seeded.levels
         compiled_before = compile_seconds()
-        states, levels = self._begun(starts), replicate(levels, self._mesh)
         count = len(states)
         training = evaluation = 0.0
         skipped = [0] * count
@@ -194,7 +197,7 @@ class Specialists:
             if not learning:
                 break
             began = time.monotonic()
-            metrics, own_skipped = self._update(states, levels, update, learning)
+            metrics, own_skipped = self._update(states, seeded, update, learning)
             training += (time.monotonic() - began) / count
             update += 1
             for i, steps in zip(learning, own_skipped, strict=True):
@@ -217,16 +220,21 @@ class Specialists:
             for curve, state, own_skipped in zip(curves, states, skipped, strict=True)
         ]
 
-    def _begun(self, starts: Sequence[Arrays | None]) -> list[LearnerState]:
-        if len(starts) != self._rollout.num_specialists:
-            raise ValueError(f"{len(starts)} starts for {self._rollout.num_specialists} specialists")
-        return [self._learner.started(start) for start in starts]
+    def _begun(
+        self, levels: Level, starts: Sequence[Arrays | None], seeds: Sequence[int] | None
+    ) -> tuple[list[LearnerState], SeededLevels]:
+        count = self._rollout.num_specialists
+        seeds = [self._config.run.seed] * count if seeds is None else seeds
+        if not len(starts) == len(seeds) == count:
+            raise ValueError(f"{len(starts)} starts and {len(seeds)} seeds for {count} specialists")
+        states = [self._learner.started(start, seed=seed) for start, seed in zip(starts, seeds, strict=True)]
+        return states, replicate(SeededLevels(levels, np.array(seeds, np.uint32)), self._mesh)
 
     def _update(
-        self, states: list[LearnerState], levels: Level, number: int, learning: Sequence[int]
+        self, states: list[LearnerState], seeded: SeededLevels, number: int, learning: Sequence[int]
     ) -> tuple[dict[str, float], list[int]]:
         """(metrics of what all played, gradient steps left out by each that is `learning`), and the next states."""
-        batches, sums = self._rollout.play([state.params for state in states], levels, number)
+        batches, sums = self._rollout.play([state.params for state in states], seeded, number)
         skipped = []
         for i in learning:
             states[i], metrics = self._learner.learned(states[i], *batches[i], env_steps=self._env_steps(number))

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from kinetix_dist.runtime.cores.learner_core import LearnerCore
     from kinetix_dist.runtime.cores.playing import check_memory, make_environment
     from kinetix_dist.runtime.cores.rollout_core import Batch, Players, RolloutCore
+    from kinetix_dist.runtime.cores.run_names import PLAY, stream
     from kinetix_dist.runtime.cores.update_metrics import training_metrics
     from kinetix_dist.runtime.driver.checkpoints import finished_report, starting_point
     from kinetix_dist.runtime.driver.run_directory import (
@@ -98,12 +99,15 @@ _MODULE_OF = {
     "LearnerCore": "cores.learner_core",
     "training_metrics": "cores.update_metrics",
     "EVALUATION_STREAM": "cores.evaluator",
+    "PLAY": "cores.run_names",
+    "stream": "cores.run_names",
 }
 
 __all__ = [
     "EVALUATION_STREAM",
     "EXIT_STOPPED",
     "LOCK_NAME",
+    "PLAY",
     "Batch",
     "LearnerCore",
     "PlacementError",
@@ -130,6 +134,7 @@ __all__ = [
     "resolve_device",
     "start_fork_server",
     "starting_point",
+    "stream",
     "train",
     "training_metrics",
     "versions",

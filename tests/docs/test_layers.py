@@ -20,6 +20,7 @@ LAYERS = (
     ("api", "delay", "recipes"),
     ("runtime",),
     ("studio",),
+    ("stored_specialists",),
     ("data", "trained_policy"),
     ("config",),
     ("actors", "learner", "curator", "evaluation"),
@@ -29,7 +30,16 @@ LAYERS = (
     ("level",),
     ("telemetry", "checkpoint"),
     ("child_python", "jax_checks", "parent_death", "prng", "program_cache", "registry", "setting", "text_files"),
-    ("atomic_files", "errors", "gymnasium_envs", "installation", "near_names", "renamed_settings", "user_directories"),
+    (
+        "atomic_files",
+        "errors",
+        "gymnasium_envs",
+        "installation",
+        "near_names",
+        "number_ranges",
+        "renamed_settings",
+        "user_directories",
+    ),
 )
 LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
 # Subpackages of packages that have them, and which of the others each may import.

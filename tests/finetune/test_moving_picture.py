@@ -11,8 +11,9 @@ from PIL import Image
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.finetune.moving_picture import NUM_ATTEMPTS, num_columns, play_specialists
-from kinetix_dist.finetune.results import read_results, record_of
+from kinetix_dist.finetune.results import Key, record_of
 from kinetix_dist.finetune.specialists import Point, Specialist, policy_at, start_from
+from kinetix_dist.stored_specialists import read_results
 from tests.finetune.small import NAMES, config_of, level_directory, write_policy
 
 STEPS = 384
@@ -30,7 +31,7 @@ def results(tmp_path: Path) -> Path:
     seconds = {"training_seconds": 1.0, "evaluation_seconds": 1.0, "compile_seconds": 0.0}
     specialist = Specialist(points=points, params={"w": np.arange(3.0)}, skipped_steps=0, **seconds)
     for name in NAMES:
-        (out / start.name / f"{name}.json").write_text(json.dumps(record_of(start, name, specialist)))
+        (out / start.name / f"{name}.json").write_text(json.dumps(record_of(Key(start, name), specialist, config)))
         write_policy(out / start.name / name, config)
     return out
 

@@ -6,13 +6,15 @@ import dataclasses
 import os
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 from kinetix_dist.errors import UserError
-from kinetix_dist.finetune.results import ResultsDirectory, design_of, env_steps_to, figure_of, record_of
+from kinetix_dist.finetune.results import Key, ResultsDirectory, design_of, env_steps_to, figure_of, record_of
 from kinetix_dist.finetune.specialists import SCRATCH, Point, Specialist, Start
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.recipes import recipe
 from tests.finetune.small import config_of, level_directory
 
 
@@ -28,7 +30,8 @@ def _specialist(*rates: int) -> Specialist:
     return Specialist(points=points, params={"w": np.arange(3.0)}, skipped_steps=0, **seconds)
 
 
-POLICY = Start(name="policy", checkpoint="policy", description={"checkpoint": "policy", "sha256": "abc"})
+STORED = {"checkpoint": "policy", "sha256": "abc", "policy_updates": 7}
+POLICY = Start(name="policy", checkpoint="policy", description=STORED)
 
 
 def test_samples_to_a_solve_rate_are_those_of_the_first_evaluation_that_has_it() -> None:
@@ -38,10 +41,10 @@ def test_samples_to_a_solve_rate_are_those_of_the_first_evaluation_that_has_it()
 
 def test_the_picture_has_a_dot_where_the_rate_was_reached_and_a_triangle_at_the_end_where_it_was_not() -> None:
     records = [
-        record_of(SCRATCH, "a", _specialist(0, 2, 6)),
-        record_of(SCRATCH, "b", _specialist(0, 0, 1)),
-        record_of(POLICY, "a", _specialist(7, 9, 10)),
-        record_of(POLICY, "b", _specialist(0, 5, 5)),
+        record_of(Key(SCRATCH, "a"), _specialist(0, 2, 6), recipe("tiny")),
+        record_of(Key(SCRATCH, "b"), _specialist(0, 0, 1), recipe("tiny")),
+        record_of(Key(POLICY, "a"), _specialist(7, 9, 10), recipe("tiny")),
+        record_of(Key(POLICY, "b"), _specialist(0, 5, 5), recipe("tiny")),
     ]
     half, most = figure_of(records).axes
     drawn = [
@@ -69,17 +72,17 @@ def test_a_directory_keeps_what_is_done_and_refuses_another_design_policy_or_dam
     levels, names = load_level_set(str(directory), "s")
     design = design_of(config, levels, names, stop_at=0.0)
     results = ResultsDirectory(tmp_path / "out", design)
-    assert results.done(POLICY, "kick") is None
-    stored = results.add(POLICY, "kick", _specialist(0, 9), config)
+    assert results.done(Key(POLICY, "kick")) is None
+    stored = results.add(Key(POLICY, "kick"), _specialist(0, 9), config, jax.tree.map(lambda x: x[1:], levels))
     with pytest.raises(UserError, match=f"in use by process {os.getpid()}; wait for it, or choose another --run"):
         ResultsDirectory(tmp_path / "out", design)
     results.close()
     again = ResultsDirectory(tmp_path / "out", design)
-    assert again.done(POLICY, "kick") == stored and again.done(SCRATCH, "kick") is None
+    assert again.done(Key(POLICY, "kick")) == stored and again.done(Key(SCRATCH, "kick")) is None
 
     other = dataclasses.replace(POLICY, description={"checkpoint": "elsewhere", "sha256": "def"})
     with pytest.raises(UserError, match=r"is of a specialist from another policy \(policy\)"):
-        again.done(other, "kick")
+        again.done(Key(other, "kick"))
     longer = dataclasses.replace(config, ppo=dataclasses.replace(config.ppo, epochs=9))
     with pytest.raises(UserError, match=r"another design: ppo\.epochs 9 instead of 2; choose another directory"):
         ResultsDirectory(tmp_path / "out", design_of(longer, levels, names, stop_at=0.0))
@@ -90,6 +93,6 @@ def test_a_directory_keeps_what_is_done_and_refuses_another_design_policy_or_dam
         ResultsDirectory(tmp_path / "out", design_of(config, moved, names, stop_at=0.0))
     (tmp_path / "out" / "policy" / "kick.json").write_text('{"level": "ki')
     with pytest.raises(UserError, match=r"kick\.json cannot be read .* its specialist is trained again"):
-        again.done(POLICY, "kick")
+        again.done(Key(POLICY, "kick"))
     with pytest.raises(UserError, match=r"holds other files and no design\.json"):
         ResultsDirectory(directory, design)

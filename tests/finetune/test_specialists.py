@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.cli.main import main
+from kinetix_dist.config import TrainConfig
 from kinetix_dist.finetune import each
 from kinetix_dist.finetune.results import ResultsDirectory
 from kinetix_dist.finetune.specialists import Specialist
@@ -106,6 +107,29 @@ def test_specialists_are_the_same_alone_and_together(
         (alone,) = trainer.train(jax.tree.map(lambda x, i=i: x[i : i + 1], solved_levels), [None])
         assert ours.points == alone.points
         assert_same_bits(_params(ours), _params(alone))
+
+
+def _seeded(directory: Path, seed: int) -> TrainConfig:
+    config = config_of(directory)
+    return dataclasses.replace(config, run=dataclasses.replace(config.run, seed=seed))
+
+
+@pytest.mark.long
+def test_seeds_share_a_program_and_each_is_what_its_run_gives(
+    directory: Path, together: list[Specialist], solved_levels: Level
+) -> None:
+    """Two seeds of one level and one of another, in the program that is compiled for three levels."""
+    levels = jax.tree.map(lambda x: x[[0, 0, 1]], solved_levels)
+    trainer = shared_specialists(config_of(directory), together=3)
+    trained = trainer.train(levels, [None, None, None], seeds=[0, 7, 7])
+    assert [specialist.compile_seconds for specialist in trained] == [0.0, 0.0, 0.0]
+    assert_same_bits(_params(trained[0]), _params(together[0]))
+    assert any(not np.array_equal(a, b) for a, b in zip(_params(trained[0]), _params(trained[1])))
+    for i in (1, 2):
+        alone = shared_specialists(_seeded(directory, 7))
+        (expected,) = alone.train(jax.tree.map(lambda x, i=i: x[i : i + 1], levels), [None])
+        assert trained[i].points == expected.points
+        assert_same_bits(_params(trained[i]), _params(expected))
 
 
 @pytest.mark.long

@@ -42,7 +42,6 @@ class LearnerCore:
         self.division = Division(config.num_blocks, mesh.devices.size)
         self._ppo: PpoConfig | None = None
         self.set_ppo(config.ppo)
-        self._init = _init_program(settings_of_programs(config), env, policy)
         self.state: LearnerState | None = None
         self.num_updates = 0  # that led to it
 
@@ -51,13 +50,13 @@ class LearnerCore:
         self.state = self.started(arrays)
         self.num_updates = int(self.state.num_updates)
 
-    def started(self, arrays: Mapping[str, np.ndarray] | None) -> LearnerState:
-        """State that `start` begins with."""
+    def started(self, arrays: Mapping[str, np.ndarray] | None, *, seed: int | None = None) -> LearnerState:
+        """State that `start` begins with. seed: another one than the configuration's."""
         given = select_arrays(arrays or {}, START)
         if arrays is not None and not given:
             state = unflatten_arrays(self.shapes, select_arrays(arrays, LEARNER))
         else:
-            state = local_values(self._init())
+            state = local_values(self._init_of(seed)())
             if given:  # counters, key and what the guard has left are those of a new run
                 deep_enough = with_added_layers(select_arrays(given, PARAMS), flatten_arrays(state.params))
                 params = unflatten_arrays(state.params, deep_enough)
@@ -66,6 +65,12 @@ class LearnerCore:
             if optimizer := select_arrays(given, OPTIMIZER):  # else all zeros, whatever the parameters
                 state = dataclasses.replace(state, opt_state=unflatten_arrays(state.opt_state, optimizer))
         return replicate(state, self._mesh)
+
+    def _init_of(self, seed: int | None) -> Callable[[], LearnerState]:
+        config = self._config
+        if seed is not None:
+            config = dataclasses.replace(config, run=dataclasses.replace(config.run, seed=seed))
+        return _init_program(settings_of_programs(config), self._env, self._policy)
 
     def set_ppo(self, ppo: PpoConfig) -> None:
         """Sets the settings of updates from now on; an update of other settings is compiled when it is first made."""

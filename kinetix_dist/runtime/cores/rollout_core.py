@@ -242,12 +242,17 @@ class RolloutCore:
             params,
             self._env,
             Worlds(prepared, env_state, obs, numbers, bound_heads, memory),
-            prng.fold_in(stream(config.run.seed, PLAY), num_updates),
+            self.play_key(state, num_updates),
             config.rollout.num_steps,
             keep_timeouts=config.ppo.bootstrap_timeouts,
         )
         batch = Batch(static, played.trajectory, played.last_value)
         return worlds_trained(batch, groups.size, config.num_trained_envs // config.rollout.num_groups), played
+
+    def play_key(self, state: Any, num_updates: Array) -> Array:
+        """Key of the actions of an update: of all worlds, or [W]. state: of the curriculum."""
+        del state
+        return prng.fold_in(stream(self._config.run.seed, PLAY), num_updates)
 
     def _attempts(self, proposal: Proposal, outcome: LevelOutcome, is_counted: Array) -> dict[str, Any]:
         """Sums of the first episodes of the worlds that count."""

@@ -15,7 +15,8 @@ import numpy as np
 
 from kinetix_dist.errors import UserError
 from kinetix_dist.evaluation.over_seeds import bootstrap_interval, mean
-from kinetix_dist.finetune.results import THRESHOLDS, read_results
+from kinetix_dist.finetune.results import THRESHOLDS
+from kinetix_dist.stored_specialists import read_results
 from kinetix_dist.study.command_results.kind import Row, Written
 
 FOLDER = "specialists"  # in the directory of a run

@@ -1,0 +1,193 @@
+"""`clone-flow` after a kill, a stop or more steps: the same bytes as without them; one line for what cannot go on."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint
+from kinetix_dist.child_python import command_of
+from kinetix_dist.cli.main import main
+from kinetix_dist.data.collect import Collection, collect
+from kinetix_dist.env.env_config import EnvConfig
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.evaluation.policies import Player, RandomPolicy
+from kinetix_dist.level.sets import load_level_set
+from tests.helpers import REPOSITORY
+
+STEPS = 200
+SMALL = {
+    "horizon": 4,
+    "max-delay": 1,
+    "width": 8,
+    "token-width": 4,
+    "num-layers": 1,
+    "batch": 8,
+    "held-out": 0.2,
+    "report-every": 10,
+    "save-seconds": 0,
+    "encoder.flat-size": 8,
+}
+DEADLINE_S = 240.0
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    env = Environment(EnvConfig(size="s", max_steps=8, action_space="continuous", observation="flat"))
+    levels, names = load_level_set("s/kick", "s")
+    folder = tmp_path_factory.mktemp("collected") / "data"
+    collection = Collection(
+        env=env,
+        player=Player(RandomPolicy(env.action_space)),
+        policy={"name": "random", "version": -1, "sha256": "", "greedy": False},
+        levels=levels,
+        level_names=names,
+        level_set="s/kick",
+        num_worlds=4,
+        num_steps=16,
+    )
+    collect(collection, folder, 2)
+    return folder
+
+
+def command(data: Path, run: Path, *options: str, steps: int = STEPS) -> list[str]:
+    words = [word for name, value in SMALL.items() for word in (f"--{name}", str(value))]
+    return ["clone-flow", "--data", str(data), "--run", str(run), "--steps", str(steps), *words, *options]
+
+
+@pytest.fixture(scope="module")
+def unbroken(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    run = tmp_path_factory.mktemp("unbroken") / "run"
+    assert main(command(data, run)) == 0
+    return run
+
+
+def arrays_of(run: Path, folder: str) -> dict[str, dict[str, np.ndarray]]:
+    return {path.name: load_checkpoint(path).arrays for path in list_checkpoints(run / folder)}
+
+
+def progress_of(run: Path) -> list[dict]:
+    """Without the seconds of each command."""
+    rows = [json.loads(line) for line in (run / "progress.jsonl").read_text().splitlines()]
+    return [{name: value for name, value in row.items() if name != "seconds"} for row in rows]
+
+
+def assert_same(run: Path, unbroken: Path) -> None:
+    for folder in ("checkpoints", "state"):
+        ours, theirs = arrays_of(run, folder), arrays_of(unbroken, folder)
+        assert list(ours) == list(theirs)
+        for step, arrays in theirs.items():
+            assert ours[step].keys() == arrays.keys()
+            for name, array in arrays.items():
+                np.testing.assert_array_equal(ours[step][name], array, err_msg=f"{step} {name}")
+    assert progress_of(run) == progress_of(unbroken)
+
+
+def stopped(data: Path, run: Path, number: signal.Signals) -> int:
+    """Exit status of a process that gets a signal once two states are there, and has not ended then."""
+    process = subprocess.Popen(
+        command_of("kinetix_dist.cli.main", *command(data, run)),
+        cwd=REPOSITORY,
+        env={**os.environ, "JAX_PLATFORMS": "cpu"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+    deadline = time.monotonic() + DEADLINE_S
+    while len(list_checkpoints(run / "state")) < 2:
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert not (run / "checkpoints" / f"{STEPS:08d}").exists()
+    assert (b"the same command goes on" in errors) == (number == signal.SIGTERM)
+    return process.returncode
+
+
+@pytest.mark.long
+def test_a_killed_training_goes_on_to_the_same_bytes(
+    data: Path, unbroken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert stopped(data, run, signal.SIGKILL) == -signal.SIGKILL
+    # What a kill may leave besides: a line and a checkpoint behind the newest state, a draft, half a line.
+    newest = int(list_checkpoints(run / "state")[-1].name)
+    with (run / "progress.jsonl").open("a") as file:
+        file.write(json.dumps({"step": newest + 10, "seconds": 1.0, "loss": 9.0, "held_out_loss": 9.0}) + '\n{"st')
+    (run / "state" / ".saving-00000150-1@elsewhere").mkdir(exist_ok=True)
+    assert main(command(data, run)) == 0
+    assert f"goes on after step {newest} of {STEPS}" in capsys.readouterr().out
+    assert_same(run, unbroken)
+    assert not list((run / "state").glob(".saving*"))
+
+
+@pytest.mark.long
+def test_a_stopped_training_saves_and_goes_on_to_the_same_bytes(data: Path, unbroken: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert stopped(data, run, signal.SIGTERM) == 75
+    assert main(command(data, run)) == 0
+    assert_same(run, unbroken)
+
+
+def test_a_damaged_state_is_passed_over_for_the_one_before(
+    data: Path, unbroken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(unbroken, tmp_path / "run")
+    (run / "state" / f"{STEPS:08d}" / "manifest.json").write_text("{")
+    assert main(command(data, run)) == 0
+    printed = capsys.readouterr().out
+    assert f"{STEPS:08d} passed over: " in printed and f"goes on after step {STEPS - 10} of {STEPS}" in printed
+    assert_same(run, unbroken)
+
+
+def test_more_steps_train_it_further(data: Path, unbroken: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert main(command(data, run, steps=STEPS // 2)) == 0
+    assert main(command(data, run)) == 0
+    for folder in ("checkpoints", "state"):
+        ours, theirs = (load_checkpoint(each / folder / f"{STEPS:08d}").arrays for each in (run, unbroken))
+        for name, array in theirs.items():
+            np.testing.assert_array_equal(ours[name], array)
+    assert progress_of(run) == progress_of(unbroken)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--learning-rate", "1e-3"), "holds another training: training.learning_rate 0.001 instead of 0.0003"),
+        (("--horizon", "6"), "holds another training: flow.horizon 6 instead of 4"),
+        (("--solved-only",), "no episode of the data set ended solved"),
+        (("--steps", "100"), "has 200 steps already; give --steps 200 or more"),
+        (("--save-seconds", "-1"), "--save-seconds is -1"),
+        (("--save-seconds", "nan"), "--save-seconds is nan"),
+    ],
+)
+def test_what_cannot_go_on_is_one_line(
+    options: tuple[str, ...], message: str, data: Path, unbroken: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path: path.stat().st_mtime_ns for path in unbroken.rglob("*") if path.is_file() and path.name != "lock"}
+    assert main([*command(data, unbroken), *options]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+
+
+def test_other_data_or_a_directory_of_something_else_is_one_line(
+    data: Path, unbroken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*command(data, unbroken), "--data", str(data), str(data)]) == 2
+    assert "holds another training: data.1 " in (error := capsys.readouterr().err) and error.count("\n") == 1
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    assert main(command(data, tmp_path / "run")) == 2
+    assert "holds checkpoints and no clone_flow.json; choose another --run" in capsys.readouterr().err
+    shutil.copytree(unbroken, tmp_path / "copy")
+    (tmp_path / "copy" / "clone_flow.json").write_text("{")
+    assert main(command(data, tmp_path / "copy")) == 2
+    assert "clone_flow.json cannot be read" in (error := capsys.readouterr().err) and error.count("\n") == 1
