@@ -1,9 +1,9 @@
 """Offline data of the public Kinetix package (in its own environment): a sample of its states, and what it reads.
 
-    python kinetix_offline.py write FOLDER SIZE NUM_TRAJECTORIES SEED [continuous]
+    python kinetix_offline.py write FOLDER SIZE NUM_TRAJECTORIES NUM_STEPS [continuous]
     python kinetix_offline.py read FOLDER OUT.npz
 
-`write` plays random levels of the package by random actions, 256 steps each, again and again from the start of the
+`write` plays random levels of the package by random actions, so many steps each, again and again from the start of the
 level, and stores them as `kinetix.data` loads them: a zarr group of two arrays of records [trajectories, steps], each
 field with an axis of length 1 before its own. The package has loaders and no writer. `read` loads the group by the
 package's own `ZarrTrajDataSource`, and gives, in the order of the sorted names of the arrays:
@@ -37,7 +37,7 @@ from kinetix.environment.utils import static_env_params_from_size
 
 from jax2d.engine import PhysicsEngine
 
-NUM_STEPS = 256
+SEED = 0
 CHOICES = (3, 3, 3, 3, 2, 2)
 
 
@@ -50,7 +50,7 @@ def main() -> int:
     return 0
 
 
-def write(folder: str, size: str, number: int, seed: int, is_continuous: bool) -> None:
+def write(folder: str, size: str, number: int, num_steps: int, is_continuous: bool) -> None:
     static, params = static_env_params_from_size(size), EnvParams()
     sample = functools.partial(
         sample_kinetix_level,
@@ -59,29 +59,29 @@ def write(folder: str, size: str, number: int, seed: int, is_continuous: bool) -
         static_env_params=static,
         ued_params=UEDParams(),
     )
-    levels = jax.jit(jax.vmap(sample))(jax.random.split(jax.random.PRNGKey(seed), number))
+    levels = jax.jit(jax.vmap(sample))(jax.random.split(jax.random.PRNGKey(SEED), number))
     kind = ActionType.CONTINUOUS if is_continuous else ActionType.MULTI_DISCRETE
     env = make_kinetix_env(kind, ObservationType.SYMBOLIC_ENTITY, None, params, static)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     if is_continuous:
-        actions = rng.uniform(np.array([-1.0] * 4 + [0.0] * 2), 1.0, (NUM_STEPS, number, 6)).astype(np.float32)
+        actions = rng.uniform(np.array([-1.0] * 4 + [0.0] * 2), 1.0, (num_steps, number, 6)).astype(np.float32)
     else:
-        actions = rng.integers(0, CHOICES, (NUM_STEPS, number, 6)).astype(np.int32)
+        actions = rng.integers(0, CHOICES, (num_steps, number, 6)).astype(np.int32)
     states, done = jax.jit(functools.partial(play, env, params))(levels, actions)
     states, done, actions = (
         jax.tree.map(lambda x: np.asarray(x).swapaxes(0, 1), part) for part in (states, done, actions)
     )
-    flat = jax.tree.map(lambda x: x.reshape(number * NUM_STEPS, *x.shape[2:]), states)
-    masks = get_valid_action_mask(flat, static, actions.reshape(number * NUM_STEPS, 6))
+    flat = jax.tree.map(lambda x: x.reshape(number * num_steps, *x.shape[2:]), states)
+    masks = get_valid_action_mask(flat, static, actions.reshape(number * num_steps, 6))
     fields = {f"env_state/{name}": leaf for name, leaf in leaves(states).items()}
-    fields |= {"action": actions, "done": done, "action_mask": np.asarray(masks).reshape(number, NUM_STEPS, 6)}
+    fields |= {"action": actions, "done": done, "action_mask": np.asarray(masks).reshape(number, num_steps, 6)}
     record = np.dtype([(name, field.dtype, (1, *field.shape[2:])) for name, field in fields.items()])
-    records = np.zeros((number, NUM_STEPS), record)
+    records = np.zeros((number, num_steps), record)
     for name, field in fields.items():
         records[name] = field[:, :, None]
     group, half = zarr.open_group(folder, mode="w"), number // 2
     for name, part in (("shard_00000", records[:half]), ("shard_00001", records[half:])):
-        group.create_dataset(name, data=part, chunks=(4, NUM_STEPS))
+        group.create_dataset(name, data=part, chunks=(4, num_steps))
 
 
 def play(env: Any, params: EnvParams, levels: Any, actions: Any) -> tuple[Any, Any]:

@@ -158,4 +158,4 @@ def _shapes(folder: Path) -> dict[str, list[int]]:
 def _reason(error: ValueError) -> str:
     """What tensorstore says, without its specifications, lists and places in its source."""
     text = " ".join(str(error).split()).split(" [", 1)[0].split(" is not one of", 1)[0]
-    return text[:MAX_REASON]
+    return text.rsplit('"zarr" driver: ', 1)[-1][:MAX_REASON]
