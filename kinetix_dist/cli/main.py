@@ -43,6 +43,7 @@ COMMANDS: dict[str, tuple[str, str]] = {  # name: (module, what it does)
     "finetune": ("kinetix_dist.cli.finetune", "train on a level set from a policy, or one policy for each level"),
     "eval": ("kinetix_dist.cli.eval_command", "solve rates of a run or a checkpoint on a set of levels"),
     "collect": ("kinetix_dist.cli.collect", "play a policy and store its transitions as a data set"),
+    "data": ("kinetix_dist.cli.data", "data sets from Kinetix' offline data, and for readers of Minari"),
     "clone-flow": ("kinetix_dist.cli.clone_flow", "a policy of action chunks from data sets, by flow matching"),
     "import-checkpoint": ("kinetix_dist.cli.import_checkpoint", "a policy of the public package as a checkpoint"),
     "dashboard": ("kinetix_dist.cli.dashboard", "pages over runs: curves, curriculum, levels, rollouts, comparison"),

@@ -126,9 +126,10 @@ def collect(
     on_shard: called with each new one and the seconds since the first was begun. Raises DatasetError where the folder
     holds something else, and OSError where a shard cannot be written: what is there stays valid then.
     """
-    with _opened(collection, folder):
-        there = {shard.shard for shard in read_index(folder) if _is_there(folder, shard)}
-        missing = [number for number in range(num_shards) if number not in there]
+    described = level_file.describe_levels(collection.env, collection.levels, collection.level_names)
+    content = level_file.encode_levels(described)
+    with opened_folder(folder, collection.manifest(content), content):
+        missing = missing_shards(folder, num_shards)
         pool = LevelPool(collection.env, collection.levels)
         began = time.monotonic()
         # A thread, not a process: Arrow, zstd, SHA-256 and the disk run without Python's lock.
@@ -145,11 +146,9 @@ def collect(
 
 
 @contextmanager
-def _opened(collection: Collection, folder: Path) -> Iterator[None]:
-    """A folder with levels and manifest of this collection, which no other process writes to."""
-    described = level_file.describe_levels(collection.env, collection.levels, collection.level_names)
-    content = level_file.encode_levels(described)
-    wanted = collection.manifest(content)
+def opened_folder(folder: Path, wanted: dict[str, Any], levels_content: bytes) -> Iterator[None]:
+    """A folder with this manifest and these levels, which no other process writes to. Raises DatasetError where it
+    holds something else."""
     _check_folder(folder, wanted)
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / INDEX).open("ab") as lock:
@@ -158,13 +157,13 @@ def _opened(collection: Collection, folder: Path) -> Iterator[None]:
         except BlockingIOError:
             raise DatasetError(f"{folder} is being written by another process; wait for it, or name another") from None
         if not _check_folder(folder, wanted):
-            level_file.write_levels(folder, content)
+            level_file.write_levels(folder, levels_content)
             manifest.write_manifest(folder, wanted)  # last: with it the folder is a data set
         yield
 
 
 def _check_folder(folder: Path, wanted: dict[str, Any]) -> bool:
-    """True where there is a data set of this collection. Raises DatasetError where there is something else."""
+    """True where there is a data set of this manifest. Raises DatasetError where there is something else."""
     if (folder / manifest.FILE).exists():
         manifest.check_same_collection(manifest.read_manifest(folder), wanted, folder)
         return True
@@ -175,6 +174,12 @@ def _check_folder(folder: Path, wanted: dict[str, Any]) -> bool:
             f"{folder} holds other files ({others[0]}) and no data set; give --out a directory of its own"
         )
     return False
+
+
+def missing_shards(folder: Path, num_shards: int) -> list[int]:
+    """Numbers of the shards below `num_shards` that are not there."""
+    there = {shard.shard for shard in read_index(folder) if _is_there(folder, shard)}
+    return [number for number in range(num_shards) if number not in there]
 
 
 def _is_there(folder: Path, shard: Shard) -> bool:

@@ -1,0 +1,187 @@
+"""A data set as one of Minari (its HDF5 format), for libraries that read those.
+
+An episode is an episode of the data set, or the part of it that its shard has. Observations are the input of a policy,
+so that masks and what a level fixes stand in each of them, as `kinetix_dist.env.wrappers` gives them to gymnasium.
+Minari has one observation more than steps. What came after the last step of an episode is in no row: the observation
+before that step stands there again.
+
+    infos               level, step, solved, chosen_by, log_prob, policy_version: one entry for each step
+    episode metadata    level_name; first_row of the episode in the data set; end_seen: no shard cut the episode
+    metadata            kinetix_dist_dataset: the manifest
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import shutil
+import warnings
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from kinetix_dist.data.columns import Transitions
+from kinetix_dist.data.dataset import Dataset
+from kinetix_dist.data.manifest import DatasetError
+from kinetix_dist.env.environment import Environment
+
+INFO_FIELDS = ("level", "step", "solved", "chosen_by", "log_prob", "policy_version")
+MANIFEST_KEY = "kinetix_dist_dataset"
+BLOCK_ROWS = 1 << 14  # rows whose observations are in memory at a time: 25 MB at S, 90 MB at L
+NEEDED = ("minari", "h5py", "gymnasium", "gymnax")
+
+
+def export_minari(
+    dataset: Dataset, dataset_id: str, on_shard: Callable[[int, int], None] = lambda *_: None
+) -> tuple[Path, int]:
+    """(folder, number of episodes) of the Minari data set that is written.
+
+    dataset_id: "(namespace/)name-v0", below $MINARI_DATASETS_PATH or Minari's own folder. on_shard: called with the
+    number of shards that are done and that of all. Raises DatasetError without Minari, for an id that is malformed or
+    taken, and for a damaged shard. What was begun is removed then.
+    """
+    if missing := [name for name in NEEDED if importlib.util.find_spec(name) is None]:
+        raise DatasetError(
+            f"{missing[0]} is not installed, which Minari data sets need: pip install 'kinetix-dist[minari]'"
+        )
+    from minari.storage import get_dataset_path
+
+    _check_id(dataset_id)
+    folder = get_dataset_path(dataset_id)
+    if folder.exists():
+        raise DatasetError(f"{folder} is there already; give another version, such as {_next_version(dataset_id)}")
+    env = Environment(dataset.env_config)
+    try:
+        target = None
+        for number in range(len(dataset.shards)):
+            for block in _blocks(dataset.read([number])):
+                target = _add(target, dataset, env, dataset_id, block)
+            on_shard(number + 1, len(dataset.shards))
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return folder, int(target.total_episodes)
+
+
+def _check_id(dataset_id: str) -> None:
+    from minari.dataset.minari_dataset import parse_dataset_id
+
+    try:
+        _, _, number = parse_dataset_id(dataset_id)
+    except (ValueError, TypeError):  # TypeError: without a version
+        number = None
+    if number is None:
+        raise DatasetError(f"{dataset_id!r} is no id of a Minari data set; give one such as kinetix/generalist-v0")
+
+
+def _next_version(dataset_id: str) -> str:
+    name, _, number = dataset_id.rpartition("-v")
+    return f"{name}-v{int(number) + 1}"
+
+
+def _blocks(rows: Transitions) -> Iterator[tuple[Transitions, np.ndarray]]:
+    """(rows, where each episode begins in them, and their end) of whole episodes, BLOCK_ROWS at most but for one
+    longer episode."""
+    starts = np.append(np.flatnonzero(np.diff(rows.episode, prepend=-1)), len(rows.episode))
+    first = 0
+    while first < len(starts) - 1:
+        last = max(int(np.searchsorted(starts, starts[first] + BLOCK_ROWS, side="right")) - 1, first + 1)
+        here = slice(int(starts[first]), int(starts[last]))
+        block = jax.tree.map(lambda x: x[here], rows._replace(static_obs=None))  # noqa: B023 (called at once)
+        yield block._replace(static_obs=rows.static_obs), starts[first : last + 1] - starts[first]
+        first = last
+
+
+def _add(
+    target: Any, dataset: Dataset, env: Environment, dataset_id: str, block: tuple[Transitions, np.ndarray]
+) -> Any:
+    """The Minari data set with the episodes of a block; it is created with those of the first one."""
+    rows, bounds = block
+    episodes = _episodes(env, rows, bounds)
+    if target is None:
+        target = _create(dataset, env, dataset_id, episodes)
+    else:
+        target.update_dataset_from_buffer(episodes)
+    starts, ends = bounds[:-1], bounds[1:]
+    names = dataset.levels.names
+    about = [
+        {
+            "level_name": names[rows.level[start]],
+            "first_row": int(rows.episode[start]),
+            "end_seen": bool(rows.done[end - 1]),
+        }
+        for start, end in zip(starts, ends, strict=True)
+    ]
+    total = int(target.total_episodes)
+    target.storage.update_episode_metadata(about, range(total - len(about), total))
+    return target
+
+
+def _create(dataset: Dataset, env: Environment, dataset_id: str, episodes: list[Any]) -> Any:
+    import minari
+
+    from kinetix_dist.env.wrappers.gymnasium_env import action_space, observation_space
+
+    manifest = dataset.manifest
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # about author, mail and environment, which nobody gave
+        created = minari.create_dataset_from_buffers(
+            dataset_id,
+            episodes,
+            observation_space=observation_space(env),
+            action_space=action_space(env.action_space),
+            algorithm_name=str(manifest["policy"]["name"]),
+            description=f"{manifest['policy']['name']} on {manifest['levels']['set']}, collected by kinetix-dist",
+            requirements=[f"kinetix-dist=={version('kinetix-dist')}"],
+            data_format="hdf5",
+            jpeg_encoding=False,  # which would lose what pictures show
+        )
+    created.storage.update_metadata({MANIFEST_KEY: manifest})
+    return created
+
+
+def _episodes(env: Environment, rows: Transitions, bounds: np.ndarray) -> list[Any]:
+    """Buffers of Minari."""
+    from minari.data_collector.episode_buffer import EpisodeBuffer
+
+    observations = _observations(env, rows)
+    actions = rows.actions.astype(np.int64 if env.action_space.is_integer else np.float32)
+    truncations = rows.timed_out.copy()
+    truncations[bounds[1:] - 1] |= ~rows.done[bounds[1:] - 1]  # cut by the end of a shard
+    buffers = []
+    for start, end in itertools.pairwise(bounds):
+        here = slice(start, end)
+        with_last = np.append(np.arange(start, end), end - 1)
+        buffers.append(
+            EpisodeBuffer(
+                observations=jax.tree.map(lambda x: x[with_last], observations),  # noqa: B023 (called at once)
+                actions=actions[here],
+                rewards=rows.rewards[here],
+                terminations=rows.done[here] & ~rows.timed_out[here],
+                truncations=truncations[here],
+                infos={name: getattr(rows, name)[here] for name in INFO_FIELDS},
+            )
+        )
+    return buffers
+
+
+def _observations(env: Environment, rows: Transitions) -> Any:
+    """Inputs of a policy [N, ...] as the observation space has them: a dict of arrays, or an array."""
+    from kinetix_dist.env.wrappers.gymnasium_env import as_dict
+
+    number = len(rows.level)
+    padded = np.concatenate([np.arange(number), np.zeros(max(BLOCK_ROWS - number, 0), np.intp)])  # one program for all
+    static, dynamic = (
+        jax.tree.map(lambda x: x[index], part)  # noqa: B023 (called at once)
+        for index, part in ((rows.level[padded], rows.static_obs), (padded, rows.dynamic_obs))
+    )
+    joined = as_dict(jax.jit(env.observation.join)(static, dynamic))
+    return jax.tree.map(lambda x: _as_stored(np.asarray(x)[:number]), joined)
+
+
+def _as_stored(array: np.ndarray) -> np.ndarray:
+    return array.astype(np.int8) if array.dtype == np.bool_ else array  # as MultiBinary has it
