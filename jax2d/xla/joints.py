@@ -355,8 +355,8 @@ def solve_soft(
     first = _Attempt(start, row_impulses(joints), joints.axes, included)
     bias = jnp.zeros_like(system.yielding)
     if use_bias:
-        moved = pair_velocities(joints.pair, _unflat(push_unheld(first).velocities))
-        bias = bend_speed(bodies, joints, moved, now, params) + correction_speed(now, joints, params)
+        # No motor of this round has acted yet: a strong one spins a light body far beyond what is solved.
+        bias = bend_speed(bodies, joints, before, now, params) + correction_speed(now, joints, params)
 
     def solve(before_it: _Attempt) -> _Attempt:
         at = push_unheld(before_it)

@@ -213,7 +213,7 @@ struct Joints {
     bool is_new = is_first;
     for (int attempt = HAS_BRAKES_AND_SERVOS && is_first && use_bias ? -1 : 0;; ++attempt) {
       if (HAS_AXES && is_new && attempt >= 0) push_unheld(bodies, which, active);
-      assemble(bodies, which, soft, {use_bias, is_new, attempt <= 0});
+      assemble(bodies, which, soft, {use_bias, is_new, attempt <= 0 && !is_first});
       system.eliminate(which, is_new);
       if (attempt < 0) {
         aim_servos(bodies, which, soft);
@@ -298,11 +298,14 @@ struct Joints {
     return pair;
   }
 
-  // Where bodies stand, and what drives and bounds axes.
+  // Where bodies stand, what drives and bounds axes, and biases: by velocities that no motor of this round has changed yet,
+  // since a strong one spins a light body far beyond what is solved.
   KFN void begin(const Bodies& bodies, const Soft& soft, bool use_bias) {
     for (EachJoint k = EachJoint::of(included); k.next();) {
       place(bodies, k.joint);
       if (HAS_AXES && list[k.joint].has_axial_row()) begin_axis(bodies, k.joint, soft, use_bias);
+      if (use_bias)
+        system.bias[k.joint] = bias_of(bodies, Pair::of(bodies, list[k.joint].a, list[k.joint].b), k.joint, soft);
     }
   }
 
@@ -368,8 +371,8 @@ struct Joints {
     }
   }
 
-  // Right sides, and the matrix if it is new. What anchors go wrong by beside their rows' speeds is found in the first attempt
-  // of a round: attempts lead to what depends on nothing but what they hold.
+  // Right sides, and the matrix if it is new. Biases are found once a round, of a second one here: attempts lead to what
+  // depends on nothing but what they hold.
   struct Assembly {
     bool use_bias, is_new, finds_bias;
   };
@@ -380,7 +383,7 @@ struct Joints {
       Pair pair = Pair::of(bodies, joint.a, joint.b);
       JointRows rows = rows_of(k.joint);
       Vec3 wrong = rows.speeds(pair);
-      if (use_bias && what.finds_bias) system.bias[k.joint] = wrong_of_move(bodies, pair, k.joint, soft).plus(wrong, real(-1));
+      if (use_bias && what.finds_bias) system.bias[k.joint] = bias_of(bodies, pair, k.joint, soft);
       if (use_bias) wrong = wrong.plus(system.bias[k.joint], real(1));
       if (HAS_AXES && joint.has_axial_row()) wrong.z = rows.third * (rows.axial_speed(pair) - system.axial[k.joint].speed());
       if (use_bias) wrong = wrong.plus(rows.yielding(pair, joint.held_impulse()), real(1));
@@ -453,24 +456,25 @@ struct Joints {
       row.begin(rows_of(k).axial_speed(Pair::of(bodies, joint.a, joint.b)));
   }
 
-  // Speeds at which what is held goes wrong if the bodies move as they do, and what undoes the errors that there are.
-  // Anchors go around their bodies: by where they get to, they stay on their circles.
-  KFN Vec3 wrong_of_move(const Bodies& bodies, const Pair& pair, int k, const Soft& soft) const {
+  // Speeds at which what is held goes wrong beside its rows' speeds if the bodies move as they do, and what undoes the errors
+  // that there are. Anchors go around their bodies: by where they get to, they stay on their circles.
+  KFN Vec3 bias_of(const Bodies& bodies, const Pair& pair, int k, const Soft& soft) const {
     const Joint& joint = list[k];
     Turn a = Turn::by(Math::clamp(pair.omega_a, -soft.max_spin, soft.max_spin) * soft.h);
     Turn b = Turn::by(Math::clamp(pair.omega_b, -soft.max_spin, soft.max_spin) * soft.h);
-    Vec2 moved = (b.chord(joint.arm_b) - a.chord(joint.arm_a)) * soft.inverse_h + (pair.velocity_b - pair.velocity_a);
-    real turning = pair.omega_b - pair.omega_a, none = real(0);
+    Vec2 turned = (b.chord(joint.arm_b) - a.chord(joint.arm_a)) * soft.inverse_h;
+    Vec2 bend = turned.minus(joint.common_b.left(), pair.omega_b).plus(joint.common_a.left(), pair.omega_a);
+    real none = real(0), angle = none;
     if (joint.is_fixed() || joint.is_prismatic())
-      turning += Math::clamp(soft.joint_rate * joint.current_angle(bodies), -soft.turn_back_speed, soft.turn_back_speed);
+      angle = Math::clamp(soft.joint_rate * joint.current_angle(bodies), -soft.turn_back_speed, soft.turn_back_speed);
     if (joint.is_prismatic()) {
-      Vec2 swing = a.chord(axis[k]), after = axis[k] + swing;
-      real across = after.left().dot(moved) + swing.left().dot(joint.apart) * soft.inverse_h;
-      real error = axis[k].left().dot(joint.apart);
-      return {across + Math::clamp(soft.joint_rate * error, -soft.pull_speed, soft.pull_speed), turning, none};
+      Vec2 across = axis[k].left(), swing = a.chord(axis[k]).left();
+      Vec2 moved = turned + (pair.velocity_b - pair.velocity_a) + joint.apart * soft.inverse_h;
+      real error = Math::clamp(soft.joint_rate * across.dot(joint.apart), -soft.pull_speed, soft.pull_speed);
+      return {across.dot(bend) + swing.dot(moved) + error, angle, none};
     }
-    Vec2 wrong = moved + clamp_length(joint.apart * soft.joint_rate, soft.pull_speed);
-    return {wrong.x, wrong.y, joint.is_fixed() ? turning : none};
+    Vec2 wrong = bend + clamp_length(joint.apart * soft.joint_rate, soft.pull_speed);
+    return {wrong.x, wrong.y, angle};
   }
 
   KFN static Vec2 clamp_length(Vec2 v, real max_length) {
