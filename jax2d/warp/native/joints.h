@@ -211,9 +211,12 @@ struct Joints {
     unsigned int which[JOINT_WORDS];  // that an attempt is about
     for (int word = 0; word < JOINT_WORDS; ++word) which[word] = included[word];
     bool is_new = is_first;
+    // By velocities that no motor of this round has changed yet: a strong one spins a light body far beyond what is solved.
+    for (EachJoint k = EachJoint::of(which); use_bias && k.next();)
+      system.bias[k.joint] = bias_of(bodies, Pair::of(bodies, list[k.joint].a, list[k.joint].b), k.joint, soft);
     for (int attempt = HAS_BRAKES_AND_SERVOS && is_first && use_bias ? -1 : 0;; ++attempt) {
       if (HAS_AXES && is_new && attempt >= 0) push_unheld(bodies, which, active);
-      assemble(bodies, which, soft, {use_bias, is_new, attempt <= 0 && !is_first});
+      assemble(bodies, which, use_bias, is_new);
       system.eliminate(which, is_new);
       if (attempt < 0) {
         aim_servos(bodies, which, soft);
@@ -261,7 +264,7 @@ struct Joints {
                       ActiveSet& active) {
     if (answer.is_new) {
       for (EachJoint k = EachJoint::of(which); k.next();) place(bodies, k.joint);
-      assemble(bodies, which, soft, {false, true, false});
+      assemble(bodies, which, false, true);
     }
     for (EachJoint k = EachJoint::of(which); k.next();) {
       bool is_theirs = has_one_of(list[k.joint], change);
@@ -298,14 +301,11 @@ struct Joints {
     return pair;
   }
 
-  // Where bodies stand, what drives and bounds axes, and biases: by velocities that no motor of this round has changed yet,
-  // since a strong one spins a light body far beyond what is solved.
+  // Where bodies stand, and what drives and bounds axes.
   KFN void begin(const Bodies& bodies, const Soft& soft, bool use_bias) {
     for (EachJoint k = EachJoint::of(included); k.next();) {
       place(bodies, k.joint);
       if (HAS_AXES && list[k.joint].has_axial_row()) begin_axis(bodies, k.joint, soft, use_bias);
-      if (use_bias)
-        system.bias[k.joint] = bias_of(bodies, Pair::of(bodies, list[k.joint].a, list[k.joint].b), k.joint, soft);
     }
   }
 
@@ -371,26 +371,21 @@ struct Joints {
     }
   }
 
-  // Right sides, and the matrix if it is new. Biases are found once a round, of a second one here: attempts lead to what
-  // depends on nothing but what they hold.
-  struct Assembly {
-    bool use_bias, is_new, finds_bias;
-  };
-  KFN void assemble(const Bodies& bodies, const unsigned int* which, const Soft& soft, Assembly what) {
-    bool use_bias = what.use_bias;
+  // Right sides, and the matrix if it is new. Biases are those of the round: attempts lead to what depends on nothing but what
+  // they hold.
+  KFN void assemble(const Bodies& bodies, const unsigned int* which, bool use_bias, bool is_new) {
     for (EachJoint k = EachJoint::of(which); k.next();) {
       const Joint& joint = list[k.joint];
       Pair pair = Pair::of(bodies, joint.a, joint.b);
       JointRows rows = rows_of(k.joint);
       Vec3 wrong = rows.speeds(pair);
-      if (use_bias && what.finds_bias) system.bias[k.joint] = bias_of(bodies, pair, k.joint, soft);
       if (use_bias) wrong = wrong.plus(system.bias[k.joint], real(1));
       if (HAS_AXES && joint.has_axial_row()) wrong.z = rows.third * (rows.axial_speed(pair) - system.axial[k.joint].speed());
       if (use_bias) wrong = wrong.plus(rows.yielding(pair, joint.held_impulse()), real(1));
       system.x[k.joint] = wrong;
-      if (what.is_new) system.diagonal[k.joint] = rows.held(pair);
+      if (is_new) system.diagonal[k.joint] = rows.held(pair);
     }
-    if (!what.is_new) return;
+    if (!is_new) return;
     for (EachJoint k = EachJoint::of(which); k.next();) {
       JointRows rows = rows_of(k.joint);
       for (EachJoint i = EachJoint::of(system.after_of(k.joint)); i.next();)
