@@ -5,7 +5,13 @@
 // capitals (NUM_SHAPES, PARAM_DT, ...) are generated there from the capacity and from ../layout.py.
 
 typedef float real;
+// All functions are inlined on a GPU. One that is called instead has the whole World in local memory, 1.2 KiB a thread: `this`
+// points to it.
+#if defined(__CUDA_ARCH__)
+#define KFN CUDA_CALLABLE __forceinline__
+#else
 #define KFN CUDA_CALLABLE inline
+#endif
 
 // An array of a struct: in memory of its own, which ../source.py declares and points to. A GPU keeps what is used
 // by an index in local memory, and with it all of the object that it is in: what is left of a struct is in registers.

@@ -188,7 +188,7 @@ def local_memory_bytes(thread_bytes: int, gpu: Gpu) -> int:
 def thread_bytes(capacity: Capacity) -> int:
     """Upper estimate of the local memory of a thread of the full engine of this capacity, bytes.
 
-    4 x 1.15 x (390 + 49 polygons + 33 circles + 87 joints + 4 thrusters + 22 contact slots)
+    4 x 1.15 x (98 + 49 polygons + 33 circles + 87 joints + 4 thrusters + 22 contact slots)
     """
     numbers = THREAD_NUMBERS + sum(number * getattr(capacity, name) for name, number in NUMBERS_OF.items())
     return round(4 * THREAD_MARGIN * numbers)
