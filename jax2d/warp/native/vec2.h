@@ -5,8 +5,8 @@
 // capitals (NUM_SHAPES, PARAM_DT, ...) are generated there from the capacity and from ../layout.py.
 
 typedef float real;
-// All functions are inlined on a GPU. One that is called instead has the whole World in local memory, 1.2 KiB a thread: `this`
-// points to it.
+// All functions are inlined on a GPU. One that is called has the whole World in local memory, 1.2 KiB a thread: `this` points
+// to it.
 #if defined(__CUDA_ARCH__)
 #define KFN CUDA_CALLABLE __forceinline__
 #else
