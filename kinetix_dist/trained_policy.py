@@ -6,6 +6,8 @@ import dataclasses
 from pathlib import Path
 
 from kinetix_dist.checkpoint import Checkpoint, CheckpointError, Rejected, load_checkpoint, newest_good
+from kinetix_dist.checkpoint.manifest import MANIFEST_NAME
+from kinetix_dist.checkpoint.store import DESCRIPTION_NAME
 from kinetix_dist.config import TrainConfig, from_dict_for_playing
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
@@ -58,6 +60,8 @@ def checkpoint_at(path: Path) -> Trained:
         raise UserError(f"{path} is a run directory; give it as a run")
     if (path / DESIGN_NAME).is_file():
         raise UserError(f"{path} holds results of several policies ({DESIGN_NAME}); name the directory of one of them")
+    if path.is_dir() and not (path / MANIFEST_NAME).exists() and not (path / DESCRIPTION_NAME).exists():
+        raise UserError(f"{path} is no run, checkpoint or directory of specialists; give one of these")
     with user_errors(CheckpointError, ValueError, OSError):
         return _trained(load_checkpoint(path))
 

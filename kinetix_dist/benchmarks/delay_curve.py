@@ -192,7 +192,7 @@ def table(records: Sequence[Record]) -> list[str]:
 
 
 def _row(name: str, cells: Iterable[str]) -> str:
-    return f"{name:17}" + "".join(f"{cell:>18}" for cell in cells)
+    return f"{name:17}" + "".join(f"  {cell:>18}" for cell in cells)
 
 
 def _cell(record: Record | None) -> str:
@@ -205,4 +205,4 @@ def _points_above(record: Record | None) -> str:
     found = record and record["above_naive"]
     if not found:
         return "-"
-    return f"{100 * found['difference']:+.1f} ({100 * found['low']:+.1f},{100 * found['high']:+.1f})"
+    return f"{100 * found['difference']:+.1f} ({100 * found['low']:+.0f} to {100 * found['high']:+.0f})"

@@ -67,8 +67,19 @@ class Args:
 def run(args: Args) -> int:
     check_seed(args.training.seed)
     start_computing()
-    from kinetix_dist.runtime import EXIT_STOPPED, RunDirectoryError, StopRequested, StopSignals, lock_directory
+    from kinetix_dist.delay.cloning_state import DESIGN_NAME
+    from kinetix_dist.runtime import (
+        EXIT_STOPPED,
+        LOCK_NAME,
+        RunDirectoryError,
+        StopRequested,
+        StopSignals,
+        lock_directory,
+    )
 
+    names = {path.name for path in args.run.iterdir()} if args.run.is_dir() else set()
+    if names - {LOCK_NAME} and DESIGN_NAME not in names:
+        raise UserError(f"{args.run} is not empty, and holds no training of clone-flow; choose another --run")
     prepared = _prepare(args)
     with user_errors(OSError, prefix=f"{args.run} cannot be written: "):
         args.run.mkdir(parents=True, exist_ok=True)

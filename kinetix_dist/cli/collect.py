@@ -38,6 +38,7 @@ DEFAULT_SHARD = {"gpu": 1 << 20, "cpu": 1 << 16}  # transitions: 512 and 1,024 s
 DEFAULT_WORLDS_OF_SPECIALISTS = {"gpu": 256, "cpu": 64}
 DEFAULT_SHARD_OF_SPECIALISTS = {"gpu": 1 << 17, "cpu": 1 << 16}
 SECONDS_BETWEEN_LINES = 5.0
+WARM_SHARDS = 8  # a rate is that of more
 
 
 @dataclasses.dataclass
@@ -234,6 +235,7 @@ def _description(args: Args, trained: Trained | None) -> dict[str, Any]:
 def _collect(out: Path, collection: Collection, num_shards: int) -> int:
     from kinetix_dist.data import DatasetError
     from kinetix_dist.data.collect import collect
+    from kinetix_dist.runtime import EXIT_STOPPED
 
     made: list[Shard] = []
     began = time.monotonic()
@@ -252,6 +254,9 @@ def _collect(out: Path, collection: Collection, num_shards: int) -> int:
         shards = collect(collection, out, num_shards, on_shard)
     except DatasetError as error:
         raise UserError(one_line(error)) from None
+    except KeyboardInterrupt:
+        say(f"kinetix-dist: stopped after {len(made)} shards; the same command goes on", sys.stderr)
+        return EXIT_STOPPED
     except OSError as error:
         raise UserError(
             f"shard {len(made)} of this command cannot be written ({one_line(error.strerror or error)}); the "
@@ -262,11 +267,12 @@ def _collect(out: Path, collection: Collection, num_shards: int) -> int:
     lines = [f"{out}: {num_rows:,} transitions in {len(shards)} shards, {num_bytes / num_rows:.1f} bytes a transition"]
     if not made:
         lines = [f"{lines[0]}; nothing was missing"]
-    elif len(made) > 1:  # the first one compiles
+    elif len(made) > WARM_SHARDS:  # the first one compiles, and the next is played while one is written
         rate = sum(shard.rows for shard in made[1:]) / max(times[-1] - times[0], 1e-9)
         lines.append(f"{60 * rate:,.0f} transitions a minute after the first shard, {time.monotonic() - began:.0f} s")
     else:
-        lines.append(f"{made[0].rows:,} transitions in {times[0]:.0f} s, compiling included")
+        made_rows = sum(shard.rows for shard in made)
+        lines.append(f"{made_rows:,} transitions in {times[-1]:.0f} s, compiling included")
     print("\n".join(lines))
     return 0
 

@@ -60,12 +60,10 @@ def _digest(dataset: Any) -> str:
 
 
 def claim(run: Path, design: Mapping[str, Any]) -> None:
-    """Writes the design of a new run. Raises UserError where the directory is of another one, or of something else."""
+    """Writes the design of a new run. Raises UserError where the directory is of another one."""
     file = run / DESIGN_NAME
     with user_errors(OSError, prefix=f"{run} cannot be written: "):
         if not file.exists():
-            if (run / CHECKPOINTS).exists():
-                raise UserError(f"{run} holds checkpoints and no {DESIGN_NAME}; choose another --run")
             replace_file(file, (json.dumps(design, indent=1) + "\n").encode())
             return
     try:

@@ -186,7 +186,11 @@ def test_other_data_or_a_directory_of_something_else_is_one_line(
     assert "holds another training: data.1 " in (error := capsys.readouterr().err) and error.count("\n") == 1
     (tmp_path / "run" / "checkpoints").mkdir(parents=True)
     assert main(command(data, tmp_path / "run")) == 2
-    assert "holds checkpoints and no clone_flow.json; choose another --run" in capsys.readouterr().err
+    assert "is not empty, and holds no training of clone-flow; choose another --run" in capsys.readouterr().err
+    assert main([*command(data, tmp_path / "new"), "--horizon", "4", "--max-delay", "8"]) == 2
+    assert (
+        "--max-delay is 8, but a chunk has 4 actions" in (error := capsys.readouterr().err) and error.count("\n") == 1
+    )
     shutil.copytree(unbroken, tmp_path / "copy")
     (tmp_path / "copy" / "clone_flow.json").write_text("{")
     assert main(command(data, tmp_path / "copy")) == 2
