@@ -93,19 +93,25 @@ def assert_same(run: Path, unbroken: Path) -> None:
 
 def stopped(data: Path, run: Path, number: signal.Signals) -> int:
     """Exit status of a process that gets a signal once two states are there, and has not ended then."""
-    process = subprocess.Popen(
-        command_of("kinetix_dist.cli.main", *command(data, run)),
-        cwd=REPOSITORY,
-        env={**os.environ, "JAX_PLATFORMS": "cpu"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
-    deadline = time.monotonic() + DEADLINE_S
-    while len(list_checkpoints(run / "state")) < 2:
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.01)
-    process.send_signal(number)
-    _, errors = process.communicate(timeout=60)
+    errors_file = run.parent / "errors"  # no pipe, which nobody reads meanwhile and what a compiler says may fill
+    with errors_file.open("wb") as errors_out:
+        process = subprocess.Popen(
+            command_of("kinetix_dist.cli.main", *command(data, run)),
+            cwd=REPOSITORY,
+            env={**os.environ, "JAX_PLATFORMS": "cpu"},
+            stdout=subprocess.DEVNULL,
+            stderr=errors_out,
+        )
+    try:
+        deadline = time.monotonic() + DEADLINE_S
+        while len(list_checkpoints(run / "state")) < 2:
+            assert process.poll() is None and time.monotonic() < deadline, errors_file.read_text()[-2000:]
+            time.sleep(0.01)
+        process.send_signal(number)
+        process.wait(timeout=60)
+    finally:
+        process.kill()
+    errors = errors_file.read_bytes()
     assert not (run / "checkpoints" / f"{STEPS:08d}").exists()
     assert (b"the same command goes on" in errors) == (number == signal.SIGTERM)
     return process.returncode
