@@ -28,6 +28,7 @@ from kinetix_dist.errors import UserError, one_line, user_errors
 if TYPE_CHECKING:
     from kinetix_dist.data.collect import Collection
     from kinetix_dist.data.shards import Shard
+    from kinetix_dist.level.level import Level
     from kinetix_dist.trained_policy import Trained
 
 BASELINES = ("random", "noop")
@@ -146,30 +147,45 @@ def _trained(policy: str) -> Trained | None:
 def _collection(args: Args, trained: Trained | None) -> Collection:
     from kinetix_dist.cli.eval_command import environment_of
     from kinetix_dist.data.collect import Collection
-    from kinetix_dist.data.rollout import Disturbance
     from kinetix_dist.evaluation.policies import NoopPolicy, Player, RandomPolicy
-    from kinetix_dist.level.sets import load_level_set
 
-    with user_errors(ValueError, OSError):
-        levels, names = load_level_set(args.levels, args.size)
+    levels, names = _levels_of(args)
     env = environment_of(args.preset, trained, levels)
     if trained is not None:
         player = trained.player(env, levels, greedy=args.greedy)
     else:
         player = Player({"random": RandomPolicy, "noop": NoopPolicy}[args.policy](env.action_space))
-    worlds, steps = _worlds_and_steps(args, DEFAULT_WORLDS, DEFAULT_SHARD)
     return Collection(
         env=env,
         player=player,
         policy=_description(args, trained),
         levels=levels,
-        level_names=list(names),
-        level_set=args.levels,
-        disturbance=Disturbance(noise=args.noise, sticky=args.sticky),
-        num_worlds=worlds,
-        num_steps=steps,
-        seed=args.seed,
+        level_names=names,
+        **_common(args, DEFAULT_WORLDS, DEFAULT_SHARD),
     )
+
+
+def _levels_of(args: Args) -> tuple[Level, list[str]]:
+    """Levels and their names. Raises UserError."""
+    from kinetix_dist.level.sets import load_level_set
+
+    with user_errors(ValueError, OSError):
+        levels, names = load_level_set(args.levels, args.size)
+    return levels, list(names)
+
+
+def _common(args: Args, default_worlds: dict[str, int], default_shard: dict[str, int]) -> dict[str, Any]:
+    """Fields of a collection that do not depend on who plays."""
+    from kinetix_dist.data.rollout import Disturbance
+
+    worlds, steps = _worlds_and_steps(args, default_worlds, default_shard)
+    return {
+        "level_set": args.levels,
+        "disturbance": Disturbance(noise=args.noise, sticky=args.sticky),
+        "num_worlds": worlds,
+        "num_steps": steps,
+        "seed": args.seed,
+    }
 
 
 def _worlds_and_steps(args: Args, default_worlds: dict[str, int], default_shard: dict[str, int]) -> tuple[int, int]:
@@ -188,12 +204,9 @@ def _of_specialists(args: Args) -> Collection:
     """Each level by its own specialists, which take turns."""
     from kinetix_dist.cli.eval_command import environment_of
     from kinetix_dist.data.collect import Collection, Turn
-    from kinetix_dist.data.rollout import Disturbance
-    from kinetix_dist.level.sets import load_level_set
     from kinetix_dist.stored_specialists import specialists_of
 
-    with user_errors(ValueError, OSError):
-        levels, names = load_level_set(args.levels, args.size)
+    levels, names = _levels_of(args)
     chosen = specialists_of(Path(args.policy), levels, names, min_rate=args.min_rate)
     for line in chosen.left_out:
         print(f"left out: {line}", flush=True)
@@ -205,18 +218,13 @@ def _of_specialists(args: Args) -> Collection:
         )
         for own, specialists in zip(players, chosen.by_level, strict=True)
     )
-    worlds, steps = _worlds_and_steps(args, DEFAULT_WORLDS_OF_SPECIALISTS, DEFAULT_SHARD_OF_SPECIALISTS)
     return Collection(
         env=env,
         player=players[0][0],
         policy=chosen.description | {"greedy": args.greedy},
         levels=levels,
-        level_names=list(names),
-        level_set=args.levels,
-        disturbance=Disturbance(noise=args.noise, sticky=args.sticky),
-        num_worlds=worlds,
-        num_steps=steps,
-        seed=args.seed,
+        level_names=names,
+        **_common(args, DEFAULT_WORLDS_OF_SPECIALISTS, DEFAULT_SHARD_OF_SPECIALISTS),
         turns=turns,
     )
 
