@@ -142,6 +142,7 @@ def _clone(args: Args, prepared: _Prepared, stop: StopSignals) -> int:
         print(f"goes on after step {begun.steps:,} of {args.training.steps:,}", flush=True)
     cloning_state.cut_progress(args.run, begun.steps)
     report = _Report(args, config, demonstrations, begun.steps, stop)
+    print(f"losses come every {args.training.report_every:,} steps, the first also after compiling", flush=True)
     with user_errors(ValueError, OSError, CheckpointError), stop.deferred():
         params = clone(policy, env, samples, args.training, max_delay=config.max_delay, begun=begun, on_report=report)
     print(f"{num_parameters(params):,} parameters in {cloning_state.newest_policy(args.run)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.finetune.results import Key, ResultsDirectory, design_of
-from kinetix_dist.finetune.specialists import SCRATCH, Specialists, Start
+from kinetix_dist.finetune.specialists import SCRATCH, Specialist, Specialists, Start
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.runtime import starting_point
@@ -32,7 +33,7 @@ class Plan:
     seeds: tuple[int, ...] = ()  # (): that of the configuration alone, which names no directory
     stop_at: float = 0.0
     part: tuple[int, int] = (0, 1)  # (k, n): only those with numbers k, k + n, k + 2 n, ...
-    together: int = 1  # specialists at a time, stored when all have ended
+    together: int = 1  # specialists at a time, in one program
 
     def keys(self, names: Sequence[str]) -> list[Key]:
         """Specialists of the part: seed by seed, level by level, start by start."""
@@ -69,7 +70,8 @@ def train_each(
     report: gets a line for a person about each. Raises UserError, before anything is computed for long, for levels and
     starts that do not fit, and for a directory of another design.
     """
-    config, levels, names, design = prepare(config, plan)
+    prepared = prepare(config, plan)
+    config, levels, names, design = prepared
     with user_errors(CheckpointError):  # before the directory is claimed for a design that cannot be trained
         arrays = {start.name: starting_point(_starting(config, start)).arrays for start in plan.starts}
     results = ResultsDirectory(path, design)
@@ -86,25 +88,22 @@ def train_each(
             first = _filled(todo[:size], size)
             seconds = specialists.compile(_levels_of(first, levels, names), [arrays[key.start.name] for key in first])
         report(f"compiled in {seconds:.0f} s, once for all specialists")
+        storing = _Storing(prepared, results, len(todo), report)
         for turn in range(0, len(todo), size):
             now = todo[turn : turn + size]
             filled, began = _filled(now, size), time.monotonic()
             more = f" and {len(now) - 1} more" if len(now) > 1 else f" {now[0].start.label}"
             progress = _Progress(config, f"{turn + 1}/{len(todo)} {now[0].level}{more}", size)
             try:
-                trained = specialists.train(
+                specialists.train(
                     _levels_of(filled, levels, names),
                     [arrays[key.start.name] for key in filled],
                     seeds=[_seed_of(config, key) for key in filled],
                     on_update=progress.update,
+                    on_end=functools.partial(storing.store, now, began),
                 )
             finally:
                 progress.close()
-            seconds = (time.monotonic() - began) / len(now)
-            for i, (key, specialist) in enumerate(zip(now, trained)):
-                own = _starting(config, key.start, seed=_seed_of(config, key))
-                record = results.add(key, specialist, own, _levels_of([key], levels, names))
-                report(f"{turn + i + 1}/{len(todo)}  {summary(record)}, {seconds:.0f} s")
     finally:
         results.close()
 
@@ -118,6 +117,29 @@ def summary(record: Record) -> str:
     final = record["final"]
     end = f"{final['rate']:.0%} ({final['low']:.0%}-{final['high']:.0%}) at {record['env_steps']:,}"
     return f"{record['level']} {record['label']}, seed {record['seed']}: {', '.join(reached)}; {end}"
+
+
+class _Storing:
+    """Stores specialists as they end, and says so."""
+
+    def __init__(
+        self, prepared: Prepared, results: ResultsDirectory, total: int, report: Callable[[str], None]
+    ) -> None:
+        """total: specialists of the command that are not there yet."""
+        self._prepared, self._results, self._total, self._report = prepared, results, total, report
+        self._stored = 0
+
+    def store(self, keys: Sequence[Key], began: float, number: int, specialist: Specialist) -> None:
+        """keys: of a program, which began at `time.monotonic()` `began`; number: of the specialist in it. Those from
+        len(keys) on fill the program and are not stored."""
+        if number >= len(keys):
+            return
+        config, levels, names, _ = self._prepared
+        key = keys[number]
+        own = _starting(config, key.start, seed=_seed_of(config, key))
+        record = self._results.add(key, specialist, own, _levels_of([key], levels, names))
+        self._stored += 1
+        self._report(f"{self._stored}/{self._total}  {summary(record)}, {time.monotonic() - began:.0f} s")
 
 
 class _Progress:

@@ -169,12 +169,13 @@ class Specialists:
         *,
         seeds: Sequence[int] | None = None,
         on_update: Callable[[int, Mapping[str, float]], None] = lambda number, metrics: None,
+        on_end: Callable[[int, Specialist], None] = lambda number, specialist: None,
     ) -> list[Specialist]:
         """A specialist for each of `levels` ([together, ...] on every field).
 
         starts: parameters of each as `starting_point` gives them; None: from its seed. seeds: of each; None: that of
         the configuration. on_update: called with the number of updates done and the metrics of what was played in the
-        last. Seconds of all are shared out equally.
+        last. on_end: called with the number of each specialist when it ends. Seconds are shared out equally.
         """
         states, seeded = self._begun(levels, starts, seeds)
         levels = seeded.levels
@@ -190,12 +191,28 @@ class Specialists:
             evaluation += (time.monotonic() - began) / count
             return points
 
+        def end(numbers: Sequence[int]) -> None:
+            for i in numbers:
+                ended[i] = Specialist(
+                    points=tuple(curves[i]),
+                    params=local_values(states[i].released),
+                    training_seconds=training,
+                    evaluation_seconds=evaluation,
+                    compile_seconds=compile_seconds() - compiled_before,
+                    skipped_steps=skipped[i],
+                )
+                on_end(i, ended[i])
+
+        ended: dict[int, Specialist] = {}
         curves = [[point] for point in evaluated(0)]
         update = 0
-        while not self._is_over(update, training):
-            learning = [i for i, curve in enumerate(curves) if not self._is_good(curve[-1])]
-            if not learning:
-                break
+        while True:
+            learning = [i for i in range(count) if i not in ended]
+            is_over = self._is_over(update, training)
+            end([i for i in learning if is_over or self._is_good(curves[i][-1])])
+            if len(ended) == count:
+                return [ended[i] for i in range(count)]
+            learning = [i for i in learning if i not in ended]
             began = time.monotonic()
             metrics, own_skipped = self._update(states, seeded, update, learning)
             training += (time.monotonic() - began) / count
@@ -207,18 +224,6 @@ class Specialists:
                 points = evaluated(update)
                 for i in learning:
                     curves[i].append(points[i])
-        seconds = compile_seconds() - compiled_before
-        return [
-            Specialist(
-                points=tuple(curve),
-                params=local_values(state.released),
-                training_seconds=training,
-                evaluation_seconds=evaluation,
-                compile_seconds=seconds,
-                skipped_steps=own_skipped,
-            )
-            for curve, state, own_skipped in zip(curves, states, skipped, strict=True)
-        ]
 
     def _begun(
         self, levels: Level, starts: Sequence[Arrays | None], seeds: Sequence[int] | None

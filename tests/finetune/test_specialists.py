@@ -152,7 +152,9 @@ def test_one_that_is_good_enough_learns_no_more_and_the_others_go_on(
 ) -> None:
     assert together[2].points[0].rate == 1.0 and max(point.rate for point in together[1].points) < 1.0
     trainer = shared_specialists(config_of(directory), stop_at=1.0, together=3)
-    _, second, third = trainer.train(solved_levels, [None, None, None])
+    ends: list[int] = []
+    _, second, third = trainer.train(solved_levels, [None, None, None], on_end=lambda number, _: ends.append(number))
+    assert ends[0] == 2 and sorted(ends) == [0, 1, 2]
     assert third.points == together[2].points[:1] and second.points == together[1].points
     assert all(np.array_equal(a, b) for a, b in zip(_params(second), _params(together[1]), strict=True))
     assert any(not np.array_equal(a, b) for a, b in zip(_params(third), _params(together[2]), strict=True))
