@@ -29,13 +29,13 @@ import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays, unflatten_arrays
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.errors import UserError, one_line
+from kinetix_dist.errors import UserError
 from kinetix_dist.evaluation.load_policy import released_arrays
 from kinetix_dist.evaluation.policies import Player
 from kinetix_dist.level.fingerprints import is_in_order
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import SIZES, Level
-from kinetix_dist.text_files import read_json
+from kinetix_dist.text_files import read_json, read_json_object
 from kinetix_dist.trained_policy import DESIGN_NAME, Trained, checkpoint_at
 
 FORMAT = 1
@@ -96,12 +96,7 @@ def read_stored(file: Path) -> Record:
     """A design, or a specialist. Raises UserError, one line, for a file that is damaged."""
     is_design = file.name == DESIGN_NAME
     advice = "choose another directory" if is_design else "remove it, and its specialist is trained again"
-    try:
-        content = read_json(file)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{file} cannot be read ({one_line(error)}); {advice}") from None
-    if not isinstance(content, dict):
-        raise UserError(f"{file} holds no object; {advice}")
+    content = read_json_object(file, advice=advice)
     for name, expected in (_OF_A_DESIGN if is_design else _OF_A_SPECIALIST).items():
         if not isinstance(content.get(name), expected):
             raise UserError(f"{file} is damaged: {name!r} is missing or of another type; {advice}")

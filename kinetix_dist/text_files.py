@@ -12,6 +12,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.errors import UserError, one_line
+
 _UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -28,6 +30,17 @@ def read_text(path: Path) -> str:
 def read_json(path: Path) -> Any:
     """Raises OSError, and ValueError or RecursionError for what is no JSON."""
     return json.loads(read_text(path))
+
+
+def read_json_object(path: Path, *, advice: str) -> dict[str, Any]:
+    """Raises UserError, one line that ends with the advice, for what cannot be read or is no object."""
+    try:
+        content = read_json(path)
+    except (OSError, ValueError, RecursionError) as error:
+        raise UserError(f"{path} cannot be read ({one_line(error)}); {advice}") from None
+    if not isinstance(content, dict):
+        raise UserError(f"{path} holds no JSON object; {advice}")
+    return content
 
 
 def read_toml(path: Path) -> dict[str, Any]:

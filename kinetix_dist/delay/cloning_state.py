@@ -31,9 +31,9 @@ from kinetix_dist.config import differing, to_dict
 from kinetix_dist.delay.chunk_policy import FlowConfig
 from kinetix_dist.delay.cloning import CloningConfig, Learned
 from kinetix_dist.delay.demonstrations import Demonstrations
-from kinetix_dist.errors import UserError, one_line, user_errors
+from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.telemetry.json_lines import mend_lines
-from kinetix_dist.text_files import read_json
+from kinetix_dist.text_files import read_json_object
 
 DESIGN_NAME, STATE, CHECKPOINTS, PROGRESS_NAME = "clone_flow.json", "state", "checkpoints", "progress.jsonl"
 KEPT = 2  # states: a newest one that a disk has damaged has one before it
@@ -66,12 +66,7 @@ def claim(run: Path, design: Mapping[str, Any]) -> None:
         if not file.exists():
             replace_file(file, (json.dumps(design, indent=1) + "\n").encode())
             return
-    try:
-        stored = read_json(file)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{file} cannot be read ({one_line(error)}); choose another --run") from None
-    if not isinstance(stored, dict):
-        raise UserError(f"{file} holds no object; choose another --run")
+    stored = read_json_object(file, advice="choose another --run")
     if differs := differing(json.loads(json.dumps(design)), stored):
         more = f" and {len(differs) - 1} more" if len(differs) > 1 else ""
         raise UserError(
