@@ -11,6 +11,7 @@ warning where it would not but the other one is installed too.
 from __future__ import annotations
 
 import functools
+import importlib.metadata
 import os
 import sys
 import warnings
@@ -27,6 +28,14 @@ def data_directory(name: str) -> Path:
     """The directory `name` of the wheel, or else of the checkout; it may be missing where neither is whole."""
     installed = PACKAGE / "data" / name
     return installed if installed.is_dir() else PACKAGE.parent / name
+
+
+def version_of(package: str = "kinetix-dist") -> str:
+    """Version of an installed package; "not installed" of one that is not, as this one where a checkout is run."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
 
 
 NAME = "jax2d"

@@ -99,9 +99,9 @@ def _dispatch(argv: list[str]) -> int:
         print(_usage())
         return 0 if argv else EXIT_USER_ERROR
     if argv[0] == "--version":
-        from importlib.metadata import version
+        from kinetix_dist.installation import version_of
 
-        print(f"{PROG} {version(PROG)}")
+        print(f"{PROG} {version_of()}")
         return 0
     name, rest = argv[0], argv[1:]
     if name not in COMMANDS:

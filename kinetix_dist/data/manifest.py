@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import build, differing, to_dict
 from kinetix_dist.env.env_config import EnvConfig, describe
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.installation import version_of
 from kinetix_dist.level.walls import empty_level
 
 FILE = "dataset.json"
@@ -38,7 +38,7 @@ def make_manifest(env: Environment, levels: Mapping[str, Any], behaviour: Mappin
     return {
         "format": FORMAT,
         "version": VERSION,
-        "package": version("kinetix-dist"),
+        "package": version_of(),
         "env": to_dict(env.config),
         "physics": describe(env.config.physics),
         "observation": describe_observation(env),

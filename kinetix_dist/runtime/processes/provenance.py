@@ -13,7 +13,6 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
-import importlib.metadata
 import importlib.util
 import platform
 import secrets
@@ -22,6 +21,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.installation import version_of
 from kinetix_dist.runtime.processes.placement import PlacementError
 
 _PACKAGES = ("kinetix-dist", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "warp-lang", "ray", "numpy")
@@ -34,12 +34,7 @@ _MAKES_NO_DIFFERENCE = ("placement",)
 def versions() -> dict[str, str]:
     """Versions of Python, of the packages that a run uses, and of the engine."""
     found = {"python": platform.python_version(), "engine": engine_revision()}
-    for name in _PACKAGES:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    return found | {name: version_of(name) for name in _PACKAGES}
 
 
 @functools.cache
