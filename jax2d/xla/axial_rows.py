@@ -15,7 +15,7 @@ NOTHING, MOTOR, LOWER, UPPER = range(4)  # what holds the speed along an axis
 
 
 class AxialRows(NamedTuple):
-    """Axial rows of J joints in one sub-step; holds, impulse and is_still change while they are solved."""
+    """Axial rows of J joints in one sub-step; holds, impulse, gain and is_still change while they are solved."""
 
     lowest: jax.Array  # [J] speeds that the limits allow
     highest: jax.Array
@@ -24,13 +24,15 @@ class AxialRows(NamedTuple):
     most: jax.Array
     holds: jax.Array  # [J] int
     impulse: jax.Array  # [J] to have where nothing is held
+    before: jax.Array  # [J] speed that a round began with
+    gain: jax.Array  # [J] what the round changed of it while nothing was held
     is_still: jax.Array  # [J] bool, a limit that holds still may pull
 
     @classmethod
     def of(cls, holds: jax.Array, like: jax.Array) -> AxialRows:
         """Rows of which only is known what they held before; like: [J] of the type of the other values."""
         zero = jnp.zeros_like(like)
-        return cls(zero, zero, zero, zero, zero, holds, zero, jnp.zeros_like(holds, dtype=bool))
+        return cls(zero, zero, zero, zero, zero, holds, zero, zero, zero, jnp.zeros_like(holds, dtype=bool))
 
     @property
     def is_held(self) -> jax.Array:
@@ -53,16 +55,23 @@ class AxialRows(NamedTuple):
         return jnp.where(self.holds == LOWER, jnp.where(self.target > self.lowest, self.most, self.least), upper)
 
 
-def begin(rows: AxialRows, speed: jax.Array) -> AxialRows:
-    """Rows with what they held before, as far as that can be."""
+def begin(rows: AxialRows, speed: jax.Array, change: jax.Array) -> AxialRows:
+    """Rows with what they held before, as far as that can be.
+
+    change: [J] what a round is expected to change of the speed while nothing is held, as that of the sub-step before
+    did. What is out of bounds then is held from the start.
+    """
     can_drive = (rows.target > rows.lowest) & (rows.target < rows.highest) & (rows.least < rows.most)
     impulse = jnp.where(speed < rows.target, rows.most, rows.least)
     impulse = jnp.where(rows.target <= rows.lowest, rows.least, impulse)
-    return rows._replace(
+    begun = rows._replace(
         holds=jnp.where((rows.holds == MOTOR) & ~can_drive, NOTHING, rows.holds),
         impulse=jnp.where(rows.target >= rows.highest, rows.most, impulse),
+        before=speed,
         is_still=jnp.zeros_like(rows.is_still),
     )
+    guessed, _ = choose(begun, speed + change, begun.impulse)
+    return jax.tree.map(lambda held, guess: jnp.where(begun.is_held, held, guess), begun, guessed)
 
 
 def choose(rows: AxialRows, speed: jax.Array, total: jax.Array) -> tuple[AxialRows, jax.Array]:
@@ -79,7 +88,12 @@ def choose(rows: AxialRows, speed: jax.Array, total: jax.Array) -> tuple[AxialRo
     met = jnp.where(speed < below, jnp.where(below == rows.lowest, LOWER, MOTOR), NOTHING)
     met = jnp.where(speed > above, jnp.where(above == rows.highest, UPPER, MOTOR), met)
     holds = jnp.where(rows.is_held, jnp.where(lets_go, NOTHING, rows.holds), met)
-    return rows._replace(holds=holds, impulse=jnp.where(lets_go, left, rows.impulse)), holds != rows.holds
+    chosen = rows._replace(
+        holds=holds,
+        impulse=jnp.where(lets_go, left, rows.impulse),
+        gain=jnp.where(rows.is_held, rows.gain, speed - rows.before),
+    )
+    return chosen, holds != rows.holds
 
 
 def settle(rows: AxialRows, total: jax.Array) -> AxialRows:

@@ -153,7 +153,7 @@ def held_before(joints: Joints, speed: jax.Array) -> jax.Array:
     """[J] what holds the speed along the axes, by the impulses that they have and the speed of the motor."""
     impulses = joints.impulses
     more = jnp.where(joints.is_servo, 0, joints.motor_target - speed)
-    needed = jnp.abs(impulses.angular_impulse + more * joints.axial_mass)
+    needed = jnp.abs(impulses.angular_impulse + C.guessed_axial_mass * more * joints.axial_mass)
     is_motor = joints.is_driven & (needed < joints.max_motor_impulse)
     holds = jnp.where(is_motor, axial_rows.MOTOR, axial_rows.NOTHING)
     holds = jnp.where(joints.is_limited & (impulses.upper > 0), axial_rows.UPPER, holds)
@@ -376,7 +376,8 @@ def solve_soft(
             again = done.included & jnp.any(joints.together & changes, axis=1)
             is_last = index + 1 == C.axial_changes
             axes = choose(again & is_last, axial_rows.settle(axes, total), axes)
-            return done._replace(axes=choose(again, axes, done.axes), included=again)
+            gains = done.axes._replace(gain=jnp.where(done.included, axes.gain, done.axes.gain))
+            return done._replace(axes=choose(again, axes, gains), included=again)
 
         return jax.lax.cond(in_any_world(jnp.any(at.included)), chosen, lambda: at), None
 
@@ -547,7 +548,8 @@ def begin_axes(
         most=jnp.where(drives, joints.max_motor_impulse, motor),
     )
     speed = speed_along(now.axial, pair_velocities(joints.pair, bodies.velocities))
-    begun = axial_rows.begin(rows, speed)
+    change = rows.gain if use_bias else jnp.zeros_like(speed)
+    begun = axial_rows.begin(rows, speed, change)
     is_servo = joints.is_servo & drives
 
     def aimed() -> AxialRows:
@@ -555,7 +557,7 @@ def begin_axes(
         moves = joint_system.axial_inverse_mass(system, held_rows(joints, driving))
         way = joints.servo.position - now.position
         target = speed_towards(joints.servo, way, rows.most * moves / params.h, params.h)
-        return choose(is_servo, axial_rows.begin(driving._replace(target=target), speed), begun)
+        return choose(is_servo, axial_rows.begin(driving._replace(target=target), speed, change), begun)
 
     return jax.lax.cond(in_any_world(jnp.any(is_servo)), aimed, lambda: begun)
 

@@ -197,6 +197,7 @@ struct AxialRow {
   real target;           // speed of the motor
   real least, most;      // impulses of the motor
   real impulse;          // to have where nothing is held
+  real before, gain;     // speed that a round began with, and what it changed of it while nothing was held
   int holds;
   bool is_still;  // a limit that holds still may pull
 
@@ -210,12 +211,16 @@ struct AxialRow {
   // Impulse of the motor while a limit holds.
   KFN real pushing() const { return holds == LOWER ? (target > lowest ? most : least) : (target < highest ? least : most); }
 
-  KFN void begin(real speed_now) {
+  // `change`: what a round is expected to change of its speed while nothing is held, as that of the sub-step before did. What is
+  // out of bounds then is held from the start.
+  KFN void begin(real speed_now, real change) {
     is_still = false;
     if (holds == MOTOR && !(target > lowest && target < highest && least < most)) holds = NOTHING;
     impulse = speed_now < target ? most : least;
     if (target <= lowest) impulse = least;
     if (target >= highest) impulse = most;
+    before = speed_now;
+    if (holds == NOTHING) choose(speed_now + change, impulse);
   }
 
   // Goes on to what is next to what it holds, if that cannot be with this speed and impulse. Returns whether it does.
@@ -229,6 +234,7 @@ struct AxialRow {
       case MOTOR:
         return (total > most || total < least) && let_go(total > most ? most : least);
       default:
+        gain = speed_now - before;
         if (least < most && impulse == most) above = Math::min(target, highest);
         if (least < most && impulse == least) below = Math::max(target, lowest);
         if (speed_now < below) holds = below == lowest ? LOWER : MOTOR;

@@ -142,18 +142,21 @@ struct Joints {
       if (!driven && !joint.is_fixed()) joint.angular_impulse = real(0);
       if (driven && joint.drive() != DRIVE_VELOCITY)
         drives[k] = Drive::of(joint, control, base_speed * scene.get(SCENE_JOINTS_MOTOR_SPEED + joint.index));
-      if (SOFT_STEP && joint.has_axial_row()) system.axial[k].holds = held_before(bodies, k);
+      if (!SOFT_STEP || !joint.has_axial_row()) continue;
+      system.axial[k].holds = held_before(bodies, k);
+      system.axial[k].gain = real(0);
     }
   }
 
-  // What the row along its axis holds, by the impulses that it has and the motor's speed.
+  // What the row along its axis holds, by the impulses that it has and the motor's speed. A guess: what hangs on its bodies makes
+  // them heavier.
   KFN int held_before(const Bodies& bodies, int k) const {
     const Joint& joint = list[k];
     if (joint.is_limited() && joint.impulse_lower > real(0)) return AxialRow::LOWER;
     if (joint.is_limited() && joint.impulse_upper > real(0)) return AxialRow::UPPER;
     real speed = rows_of(k).axial_speed(Pair::of(bodies, joint.a, joint.b));
     real more = joint.drive() == DRIVE_VELOCITY ? joint.motor_target - speed : real(0);
-    real needed = Fused::of(more, joint.axial_mass, joint.angular_impulse);
+    real needed = Fused::of(more, GUESSED_AXIAL_MASS * joint.axial_mass, joint.angular_impulse);
     return joint.is_driven() && Math::abs(needed) < joint.max_motor_impulse ? AxialRow::MOTOR : AxialRow::NOTHING;
   }
 
@@ -422,7 +425,7 @@ struct Joints {
       AxialRow& row = system.axial[k.joint];
       real way = drives[k.joint].position - axial_position(bodies, k.joint);
       row.target = drives[k.joint].speed_towards(way, row.most * system.axial_inverse_mass(k.joint), soft.inverse_h);
-      row.begin(rows_of(k.joint).axial_speed(Pair::of(bodies, joint.a, joint.b)));
+      row.begin(rows_of(k.joint).axial_speed(Pair::of(bodies, joint.a, joint.b)), row.gain);
     }
   }
 
@@ -448,7 +451,7 @@ struct Joints {
     if (drives && joint.drive() == DRIVE_SERVO)
       row.holds = AxialRow::MOTOR;
     else
-      row.begin(rows_of(k).axial_speed(Pair::of(bodies, joint.a, joint.b)));
+      row.begin(rows_of(k).axial_speed(Pair::of(bodies, joint.a, joint.b)), use_bias ? row.gain : real(0));
   }
 
   // Speeds at which what is held goes wrong beside its rows' speeds if the bodies move as they do, and what undoes the errors
