@@ -4,16 +4,19 @@ do. Seen from outside, by what a step says of its joints."""
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jax2d import BuiltWorld, Capacity, Controls, Engine, SceneBuilder, State, preset
+from jax2d.xla import axial_rows
 
 LINKS = 6
 CAPACITY = Capacity(polygons=LINKS + 1, circles=1, joints=LINKS, thrusters=1)
 WORLDS, STEPS = 32, 90
 LIMIT = 0.6  # rad
 TARGET, NEAR = 3.0, 0.02  # rad/s
+FREE = 1e9  # rad/s
 STANDARD = preset("standard")
 DISAGREEING = 3e-3  # of links that lash about: their articulation's rows do not agree in time
 
@@ -64,3 +67,24 @@ def test_each_motor_has_its_speed_or_its_largest_impulse(backend: str):
     # Limits push, and in one direction.
     assert (lower >= 0).all() and (upper >= 0).all() and not ((lower > 0) & (upper > 0)).any()
     assert not unlimited[..., 1::2].all() and unlimited[..., ::2].all()
+
+
+@pytest.mark.parametrize(
+    ("change", "highest", "holds"),
+    [
+        (0.3, FREE, axial_rows.NOTHING),  # 2.8 of 3 rad/s: its largest impulse
+        (0.7, FREE, axial_rows.MOTOR),
+        (0.3, 2.7, axial_rows.UPPER),  # the limit comes first
+        (-9.0, 2.7, axial_rows.NOTHING),  # slower than the motor would have it, at its largest impulse
+    ],
+)
+def test_a_round_begins_with_what_will_hold_if_the_speed_changes_as_it_did(change: float, highest: float, holds: int):
+    rows = axial_rows.AxialRows.of(jnp.full(1, axial_rows.NOTHING), jnp.zeros(1))
+    ones = jnp.ones(1)
+    rows = rows._replace(lowest=-FREE * ones, highest=highest * ones, target=TARGET * ones, least=-ones, most=ones)
+    begun = axial_rows.begin(rows, 2.5 * ones, change * ones)
+    assert int(begun.holds[0]) == holds and float(begun.impulse[0]) == 1.0
+    # What came of it is what the next round is begun with.
+    free = begun._replace(holds=jnp.full(1, axial_rows.NOTHING))
+    after, _ = axial_rows.choose(free, 2.6 * ones, begun.impulse)
+    assert float(after.gain[0]) == pytest.approx(0.1, abs=1e-6)
