@@ -200,9 +200,9 @@ struct Joints {
   // One of two rounds of a pass with bias, or a bounce. A second one is for what contacts and changed spins have made wrong
   // since the first. A bounce is without motors: a force or torque does nothing in an instant.
   //
-  // A round begins with what motors and limits held at last, and will hold if speeds change as they did. Where that is not what they would do at the speeds that come
-  // out, their articulation is solved again with what they would. Where they do not agree with each other in the end, limits
-  // hold still, which takes energy and gives none.
+  // A round begins with what motors and limits held at last, and with what they will if speeds change as they did. Where that is
+  // not what they would do at the speeds that come out, their articulation is solved again with what they would. Where they do not
+  // agree with each other in the end, limits hold still, which takes energy and gives none.
   KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool is_first, ActiveSet& active) {
     if (is_first)
       for (int pass = 0; pass < (use_bias ? SPRING_PASSES : 1); ++pass) springs.solve(bodies, soft, use_bias, use_bias, active);
