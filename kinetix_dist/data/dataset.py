@@ -11,7 +11,8 @@ Each shard is held to its SHA-256 when it is read.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +77,7 @@ class Dataset:
 
     def read(self, shards: Sequence[int] | None = None) -> Transitions:
         """Transitions of all shards, or of those at these places of `shards`; episodes are contiguous."""
-        chosen = range(len(self.shards)) if shards is None else shards
-        parts = [part for number in chosen if (part := self._part(self.shards[number])) is not None]
+        parts = self._parts(range(len(self.shards)) if shards is None else shards)
         if not parts:
             raise DatasetError(f"data set {self.folder}: all {len(self.skipped)} shards to read are damaged or missing")
         return joined(parts)
@@ -90,8 +90,7 @@ class Dataset:
         rng = np.random.default_rng(seed)
         order, rest = rng.permutation(len(self.shards)), None
         for start in range(0, len(order), shards_at_once):
-            parts = [self._part(self.shards[number]) for number in order[start : start + shards_at_once]]
-            found = [part for part in [rest, *parts] if part is not None]
+            found = [*([] if rest is None else [rest]), *self._parts(order[start : start + shards_at_once])]
             if not found:
                 continue
             rows = joined(found)
@@ -101,21 +100,28 @@ class Dataset:
                 yield picked(rows, slice(first, first + batch_size))
             rest = picked(rows, slice(num_whole, None))
 
-    def _part(self, shard: Shard) -> Transitions | None:
-        """Rows of a shard; None: it is skipped."""
-        static_obs = self.levels.static_obs  # first: without levels no shard can be read
+    def _parts(self, numbers: Iterable[int]) -> list[Transitions]:
+        """Rows of each of these shards but for those that are skipped, read by several threads."""
+        chosen = [self.shards[number] for number in numbers]
+        static_obs, shapes = self.levels.static_obs, self._shapes  # without levels no shard can be read
+        with ThreadPoolExecutor() as pool:
+            found = list(pool.map(lambda shard: self._part(shard, static_obs, shapes), chosen))
+        for part in found:
+            if isinstance(part, DatasetError) and not self._skip_damaged:
+                raise part
+            if isinstance(part, DatasetError) and str(part) not in self.skipped:
+                self.skipped.append(str(part))
+        return [part for part in found if not isinstance(part, DatasetError)]
+
+    def _part(self, shard: Shard, static_obs: Any, shapes: Any) -> Transitions | DatasetError:
         try:
             content = read_content(self.folder, shard)
-            try:
-                return from_parquet(content, static_obs, self._shapes)
-            except (KeyError, ValueError, pa.ArrowException) as error:
-                raise DatasetError(f"shard {self.folder / shard.file} is of another version: {error}") from None
         except DatasetError as error:
-            if not self._skip_damaged:
-                raise
-            if str(error) not in self.skipped:
-                self.skipped.append(str(error))
-            return None
+            return error
+        try:
+            return from_parquet(content, static_obs, shapes)
+        except (KeyError, ValueError, pa.ArrowException) as error:
+            return DatasetError(f"shard {self.folder / shard.file} is of another version: {error}")
 
 
 def open_dataset(folder: str | Path, *, skip_damaged: bool = False) -> Dataset:

@@ -34,11 +34,12 @@ from kinetix_dist.checkpoint import (
 )
 from kinetix_dist.config.plain import build, to_dict
 from kinetix_dist.delay.flow_matching import Velocity
+from kinetix_dist.delay.history import begun, seen
 from kinetix_dist.env.action_spaces import ActionSpace
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.walls import empty_level
-from kinetix_dist.models.flow_network import FlowNetwork
+from kinetix_dist.models.flow_network import FlowNetwork, Remembered
 from kinetix_dist.models.policy import PolicyConfig, make_encoder
 from kinetix_dist.setting import ConfigError, check_settings, setting
 from kinetix_dist.trained_policy import CHUNK_POLICY
@@ -52,6 +53,7 @@ class FlowConfig:
 
     horizon: int = setting(16, minimum=1)  # actions of a chunk
     integration_steps: int = setting(5, minimum=1)  # K, Euler steps from noise to a chunk
+    history: int = setting(0, minimum=0)  # steps before the present one whose observation and action it sees
     max_delay: int = setting(0, minimum=0)  # training-time RTC: longest delay that training simulates; 0: none
     width: int = setting(256, minimum=2)  # channels of an action's token
     token_width: int = setting(64, minimum=1)
@@ -76,6 +78,7 @@ class ChunkPolicy:
     network: FlowNetwork
     space: ActionSpace
     num_steps: int  # K
+    history: int = 0
 
     @property
     def horizon(self) -> int:
@@ -126,7 +129,7 @@ def make_chunk_policy(config: FlowConfig, env: Environment) -> ChunkPolicy:
         token_width=config.token_width,
         num_layers=config.num_layers,
     )
-    return ChunkPolicy(network, space, config.integration_steps)
+    return ChunkPolicy(network, space, config.integration_steps, config.history)
 
 
 def bound_dimensions(env: Environment, bound_heads: Array | None, num_worlds: int) -> Array:
@@ -136,10 +139,17 @@ def bound_dimensions(env: Environment, bound_heads: Array | None, num_worlds: in
 
 def init_params(policy: ChunkPolicy, obs: Any, key: Array) -> Any:
     """Parameters, float32, drawn for one world of `obs`. Consumes the key."""
-    one = jax.tree.map(lambda x: x[:1], obs)
+    one = _of_first_world(obs)
     chunk = jnp.zeros((1, policy.horizon, policy.space.num_dimensions), jnp.float32)
     with prng.pinned():
         return jax.jit(policy.network.init)(key, one, chunk, jnp.zeros(chunk.shape[:2]))
+
+
+def _of_first_world(obs: Any) -> Any:
+    if not isinstance(obs, Remembered):
+        return jax.tree.map(lambda x: x[:1], obs)
+    past, actions = jax.tree.map(lambda x: x[:, :1], (obs.past, obs.actions))
+    return Remembered(_of_first_world(obs.now), past, actions)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -160,7 +170,8 @@ class TrainedChunks:
         def init(key: Array) -> Any:
             prepared = env.prepare(level)
             chunk = jnp.zeros((1, policy.horizon, policy.space.num_dimensions))
-            obs = env.observe(prepared, prepared.initial_obs)
+            none = begun(prepared.initial_obs, policy.history, policy.space.num_dimensions)
+            obs = seen(env, prepared, prepared.initial_obs, none)
             return policy.network.init(key, obs, chunk, jnp.zeros(chunk.shape[:2]))
 
         template = jax.eval_shape(init, prng.key(0))

@@ -94,7 +94,7 @@ def untrained(policy: ChunkPolicy, env: Environment, samples: Samples, config: C
     """Training before its first step."""
     of_params, _, _ = _keys(config)
     first = samples._replace(dynamic_obs=jax.tree.map(lambda x: x[:1], samples.dynamic_obs), level=samples.level[:1])
-    obs, _ = observations(env, jax.tree.map(jnp.asarray, first), jnp.zeros(1, jnp.int32))
+    obs, _ = observations(env, jax.tree.map(jnp.asarray, first), jnp.zeros(1, jnp.int32), policy.history)
     params = init_params(policy, obs, of_params)
     return Learned(0, params, _optimizer(config).init(params))
 
@@ -173,7 +173,7 @@ def _loss(
     max_delay: Array | int,
 ) -> Array:
     """Flow loss of windows that begin with rows [B]. The key is consumed."""
-    obs, bound = observations(env, samples, rows)
+    obs, bound = observations(env, samples, rows, policy.history)
     chunk = windows(samples, rows, policy.horizon)
     actions = chunk.actions * bound[:, None]
     drawn = draw(key, actions.shape, max_delay)

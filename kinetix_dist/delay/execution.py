@@ -31,6 +31,8 @@ import numpy as np
 from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.delay.chunk_policy import ChunkPolicy, bound_dimensions
+from kinetix_dist.delay.history import History, after, begun
+from kinetix_dist.delay.history import seen as with_history
 from kinetix_dist.delay.methods import Method, Params, Plan, Seen, sampled
 from kinetix_dist.env.action_spaces import ActionSpace
 from kinetix_dist.env.environment import Environment
@@ -99,25 +101,28 @@ def play_chunks(
     worlds = _Worlds.of(env, attempts, schedule.action_noise)
     bound = bound_dimensions(env, worlds.prepared.bound_heads, attempts.index.shape[0])
 
-    def seen(play: Play, number: Array | int) -> Seen:
+    def seen(play: Play, history: History, number: Array | int) -> Seen:
         keys = jax.vmap(prng.fold_in, (0, None))(worlds.keys, number)
-        return Seen(env.observe(worlds.prepared, play.obs), bound, keys)
+        return Seen(with_history(env, worlds.prepared, play.obs, history), bound, keys)
 
-    def segment(now: tuple[Array, Array, Play]) -> tuple[Array, Array, Play]:
-        number, old, play = now
+    def segment(now: tuple[Array, Array, History, Play]) -> tuple[Array, Array, History, Play]:
+        number, old, history, play = now
         known = schedule.horizon - schedule.execute
-        new = method.plan(policy, params, seen(play, number), Plan(old, schedule.delay, known))
+        new = method.plan(policy, params, seen(play, history, number), Plan(old, schedule.delay, known))
 
-        def step(i: Array, play: Play) -> Play:
-            return worlds.step(play, policy.actions(jnp.where(i < schedule.delay, old[:, i], new[:, i])))
+        def step(i: Array, now: tuple[History, Play]) -> tuple[History, Play]:
+            history, play = now
+            chosen = jnp.where(i < schedule.delay, old[:, i], new[:, i])
+            return after(history, play.obs, chosen), worlds.step(play, policy.actions(chosen))
 
-        play = jax.lax.fori_loop(0, schedule.execute, step, play)
-        return number + 1, rest_of(new, schedule), play
+        history, play = jax.lax.fori_loop(0, schedule.execute, step, (history, play))
+        return number + 1, rest_of(new, schedule), history, play
 
     begin = worlds.begin()
-    first = sampled(policy, params, seen(begin, 0))
-    _, _, play = jax.lax.while_loop(lambda now: some_play(now[2]), segment, (jnp.int32(1), first, begin))
-    return play.episodes
+    none = begun(begin.obs, policy.history, policy.space.num_dimensions)
+    first = sampled(policy, params, seen(begin, none, 0))
+    state = jnp.int32(1), first, none, begin
+    return jax.lax.while_loop(lambda now: some_play(now[-1]), segment, state)[-1].episodes
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1, 4))

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax2d.scene import Array
+from kinetix_dist.models.flow_network import Remembered
 
 
 class Samples(NamedTuple):
@@ -52,8 +53,24 @@ def windows(samples: Samples, rows: Array, horizon: int) -> Windows:
     return Windows(samples.actions[index], (ahead < left) & samples.counts[index])
 
 
-def observations(env: Any, samples: Samples, rows: Array) -> tuple[Any, Array]:
-    """(joined observations, bound dimensions) of rows [B]."""
+def observations(env: Any, samples: Samples, rows: Array, history: int = 0) -> tuple[Any, Array]:
+    """(inputs of a network, bound dimensions) of rows [B]: joined observations, with as many steps of `history` before
+    them as in play (history.py)."""
     level = samples.level[rows]
-    static, bound = jax.tree.map(lambda x: x[level], (samples.static_obs, samples.bound))
-    return env.observation.join(static, jax.tree.map(lambda x: x[rows], samples.dynamic_obs)), bound
+    bound = samples.bound[level]
+    now = _joined(env, samples, level, rows)
+    if not history:
+        return now, bound
+    back = jnp.arange(1, history + 1)[:, None]
+    # Rows of an episode count down to its end: one of another episode has fewer left than that.
+    is_there = (rows >= back) & (samples.left[jnp.maximum(rows - back, 0)] == samples.left[rows] + back)
+    first = rows - jnp.sum(is_there, axis=0)
+    index = jnp.maximum(rows - back, first)
+    past = jax.vmap(lambda earlier: _joined(env, samples, level, earlier))(index)
+    actions = jnp.where(is_there[..., None] & bound, samples.actions[index], 0.0)
+    return Remembered(now, past, actions), bound
+
+
+def _joined(env: Any, samples: Samples, level: Array, rows: Array) -> Any:
+    static = jax.tree.map(lambda x: x[level], samples.static_obs)
+    return env.observation.join(static, jax.tree.map(lambda x: x[rows], samples.dynamic_obs))

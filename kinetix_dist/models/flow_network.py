@@ -3,18 +3,20 @@
     encode      observation -> embedding [B, width], once for all integration steps
     velocity    embedding, noisy chunk [B, H, A], flow time [B, H] -> its velocity [B, H, A]
 
-`encode` is the encoder of any network of `policy.py` and a norm. `velocity` takes each action of a chunk as a token:
-`num_layers` blocks mix tokens, then channels (MLP-Mixer, Tolstikhin et al. 2021), with scale, shift and gate of each
-norm by the flow time (adaLN-zero, Peebles and Xie 2023). Blocks, widths and the periods of the time's sines are those
-of the public benchmark (Black, Galliker and Levine 2025). A token has a flow time of its own, so that actions that are
-known already can be given without noise (training-time RTC, Black et al. 2025).
+`encode` is the encoder of any network of `policy.py` and a norm; of several steps it takes each, beside their
+actions. `velocity` takes each action of a chunk as a token: `num_layers` blocks mix tokens, then channels (MLP-Mixer,
+Tolstikhin et al. 2021), with scale, shift and gate of each norm by the flow time (adaLN-zero, Peebles and Xie 2023).
+Blocks, widths and the periods of the time's sines are those of the public benchmark (Black, Galliker and Levine 2025).
+A token has a flow time of its own, so that actions that are known already can be given without noise (training-time
+RTC, Black et al. 2025).
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
@@ -22,6 +24,14 @@ from jax2d.scene import Array
 
 MIN_PERIOD, MAX_PERIOD = 4e-3, 4.0  # of the sines of the flow time, which is from 0 to 1
 zeros = nn.initializers.zeros
+
+
+class Remembered(NamedTuple):
+    """Observation of B worlds with n steps before it, the newest first."""
+
+    now: Any  # [B, ...]
+    past: Any  # [n, B, ...]
+    actions: Array  # [n, B, A] in -1..1, of these steps
 
 
 class FlowNetwork(nn.Module):
@@ -47,11 +57,20 @@ class FlowNetwork(nn.Module):
         return self.velocity(self.encode(obs), chunk, time)
 
     def encode(self, obs: Any) -> Array:
-        """[B, width] float32. Raises ValueError for a network that has no embedding to give."""
+        """[B, width] float32. obs: [B, ...], or `Remembered`, whose observations share the encoder. Raises ValueError
+        for a network that has no embedding to give."""
+        if not isinstance(obs, Remembered):
+            return self.embed(self._encoded(obs))
+        count, num_worlds = obs.actions.shape[:2]
+        flat = jax.tree.map(lambda now, past: jnp.concatenate([now[None], past]).reshape(-1, *now.shape[1:]), *obs[:2])
+        embeddings = self._encoded(flat).reshape(count + 1, num_worlds, -1)
+        return self.embed(jnp.concatenate([*embeddings, *obs.actions], axis=-1))
+
+    def _encoded(self, obs: Any) -> Array:
         embedding = self.encoder(obs)
         if isinstance(embedding, tuple):
             raise ValueError(f"network {type(self.encoder).__name__} gives no embedding; see models/gru.py")
-        return self.embed(self.norm(embedding.astype(jnp.float32)))
+        return self.norm(embedding.astype(jnp.float32))
 
     def velocity(self, embedding: Array, chunk: Array, time: Array) -> Array:
         """[B, H, A] float32. chunk [B, H, A] in units of -1..1; time [B, H] of each action, 0: noise, 1: data."""

@@ -91,6 +91,19 @@ def test_the_policy_gives_the_actions_of_each_level(env: Environment, samples: S
     assert reports[-1].held_out_loss < 0.1 and reports[-1].loss < 0.5 * reports[0].loss
 
 
+def test_what_follows_from_the_action_before_is_learned_with_history_alone(env: Environment, samples: Samples) -> None:
+    """Actions alternate between -0.5 and 0.5, whatever is seen; half of the episodes begin with either."""
+    rows = np.arange(len(samples.level))
+    signs = np.where((rows + rows // ROWS_PER_EPISODE // 2) % 2, 0.5, -0.5).astype(np.float32)
+    alternating = samples._replace(actions=np.broadcast_to(signs[:, None], samples.actions.shape))
+    losses = []
+    for history in (0, 1):
+        policy, reports = make_chunk_policy(dataclasses.replace(FLOW, history=history), env), []
+        clone(policy, env, alternating, CONFIG, on_report=reports.append)
+        losses.append(reports[-1].held_out_loss)
+    assert losses[1] < 0.5 * losses[0]
+
+
 def test_cloning_again_gives_the_same_bits(env: Environment, samples: Samples) -> None:
     config = dataclasses.replace(CONFIG, steps=4, report_every=2)
     policy = make_chunk_policy(FLOW, env)

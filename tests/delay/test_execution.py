@@ -19,6 +19,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.evaluate import Episodes, play_attempts
 from kinetix_dist.evaluation.policies import RandomPolicy
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.models.flow_network import Remembered
 from kinetix_dist.models.policy import PolicyConfig
 
 HORIZON = 8
@@ -126,6 +127,49 @@ def test_a_new_chunk_takes_over_after_the_delay(
 @dataclasses.dataclass(frozen=True)
 class _Given(Sees):
     """`Sees` as a method."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Remembers(Sees):
+    """Chunks that follow from the present and the two steps before it."""
+
+    def plan(self, policy: Any, params: Any, seen: Seen, old: Plan) -> jax.Array:
+        del policy, params, old
+        now, past, actions = seen.obs
+        phase = now.polygons[..., :2].sum(axis=(-2, -1)) * 40.0
+        phase += jnp.tensordot(jnp.array([20.0, 10.0]), past.polygons[..., :2].sum(axis=(-2, -1)), 1)
+        phase += jnp.tensordot(jnp.array([3.0, 2.0]), actions.sum(axis=-1), 1)
+        return jnp.sin(phase[:, None, None] + jnp.arange(self.horizon)[:, None] + jnp.arange(6.0))
+
+
+def test_a_policy_with_history_sees_the_steps_before(env: Environment, attempts: Attempts) -> None:
+    policy = make_chunk_policy(dataclasses.replace(FLOW, history=2), env)
+    loop = Loop(env, attempts)
+    nothing = jnp.zeros((len(attempts.index), 6))
+
+    def seen_at(t: int) -> Remembered:
+        past = jax.tree.map(lambda *xs: jnp.stack(xs), *(loop.seen[max(t - back, 0)] for back in (1, 2)))
+        actions = jnp.stack([chosen[t - back] if t >= back else nothing for back in (1, 2)])
+        return Remembered(loop.seen[t], past, actions)
+
+    chosen: list[jax.Array] = []
+    params = Params(init_params(policy, seen_at(0), prng.key(0)))
+    schedule = Schedule(delay=1, execute=2, horizon=HORIZON)
+    found = play_chunks(env, policy, _Remembers(HORIZON), params, attempts, schedule)
+    keys = jax.vmap(prng.fold_in, (0, None))(jax.vmap(prng.fold_in, (None, 0))(attempts.key, attempts.index), 0)
+    first = Seen(seen_at(0), loop.prepared.bound_heads, keys)
+    old = jax.jit(lambda: Plain().plan(policy, params, first, None))()
+    for t in range(0, env.config.max_steps + 2, 2):
+        new = _Remembers(HORIZON).plan(None, None, Seen(seen_at(t), None, None), None)
+        for action in (old[:, 0], new[:, 1]):
+            loop.step(policy.actions(action))
+            chosen.append(action)
+        old = new[:, 2:]
+    loop.assert_equals(found)
+    without = make_chunk_policy(FLOW, env)
+    obs = env.observe(prepared := env.prepare(attempts.levels), prepared.initial_obs)
+    plain = Params(init_params(without, obs, prng.key(0)))
+    loop.assert_differs(play_chunks(env, without, _Given(HORIZON), plain, attempts, schedule))
 
 
 def _first(policy: Any, env: Environment, params: Params, attempts: Attempts, loop: Loop) -> jax.Array:

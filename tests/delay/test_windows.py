@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.delay.cloning import split_episodes
-from kinetix_dist.delay.windows import Samples, steps_left, windows
+from kinetix_dist.delay.windows import Samples, observations, steps_left, windows
 
 
 def samples(actions: jax.Array, left: np.ndarray, counts: jax.Array | None = None) -> Samples:
@@ -47,6 +47,40 @@ def test_windows_against_a_loop() -> None:
             assert bool(found.counts[row, ahead]) == inside
             if inside:
                 np.testing.assert_array_equal(found.actions[row, ahead], actions[row + ahead])
+
+
+class _AsTheyAre:
+    """An environment whose observations are numbers."""
+
+    class observation:
+        @staticmethod
+        def join(static: jax.Array, dynamic: jax.Array) -> jax.Array:
+            return static * 1000 + dynamic
+
+
+@pytest.mark.parametrize("history", [1, 3])
+def test_steps_before_a_row_are_those_of_its_episode(history: int) -> None:
+    rng = np.random.default_rng(1)
+    episode = np.repeat(rng.permutation(20), rng.integers(1, 9, 20))
+    count, level = len(episode), (episode % 2).astype(np.int32)
+    actions, bound = rng.normal(size=(count, 2)).astype(np.float32), np.array([[True, True], [True, False]])
+    of_rows = Samples(
+        jnp.array([1.0, 2.0]),
+        jnp.asarray(bound),
+        jnp.arange(float(count)),
+        jnp.asarray(level),
+        jnp.asarray(actions),
+        jnp.asarray(steps_left(episode)),
+        jnp.ones(count, bool),
+    )
+    found, _ = observations(_AsTheyAre, of_rows, jnp.arange(count), history)
+    for row in range(count):
+        first = int(np.flatnonzero(episode == episode[row])[0])
+        assert float(found.now[row]) == 1000 * (1 + level[row]) + row
+        for back in range(1, history + 1):
+            assert float(found.past[back - 1, row]) == 1000 * (1 + level[row]) + max(row - back, first)
+            expected = actions[row - back] * bound[level[row]] if row - back >= first else np.zeros(2)
+            np.testing.assert_array_equal(found.actions[back - 1, row], expected)
 
 
 def test_rows_of_an_episode_that_are_apart_are_refused() -> None:

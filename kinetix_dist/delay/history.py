@@ -1,0 +1,47 @@
+"""Steps before the present one, which a chunk policy with `FlowConfig.history` above 0 sees besides it.
+
+    before an episode      its first observation, and actions of 0
+    then, newest first     what was observed, and the action that was chosen there
+
+Actions are those of the policy: noise that is added to them later is not seen.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jax2d.scene import Array
+from kinetix_dist.env.environment import Environment
+from kinetix_dist.env.records import PreparedLevels
+from kinetix_dist.models.flow_network import Remembered
+
+
+class History(NamedTuple):
+    """The last n steps of W worlds, the newest first."""
+
+    obs: Any  # dynamic, [n, W, ...]
+    actions: Array  # [n, W, A] in -1..1
+
+
+def begun(obs: Any, length: int, num_dimensions: int) -> History:
+    """History of worlds whose episodes begin. obs: dynamic, [W, ...]."""
+    num_worlds = jax.tree.leaves(obs)[0].shape[0]
+    repeated = jax.tree.map(lambda x: jnp.broadcast_to(x, (length, *x.shape)), obs)
+    return History(repeated, jnp.zeros((length, num_worlds, num_dimensions), jnp.float32))
+
+
+def after(history: History, obs: Any, actions: Array) -> History:
+    """History when actions [W, A] were chosen at `obs`."""
+    return jax.tree.map(lambda new, old: jnp.concatenate([new[None], old])[: len(old)], History(obs, actions), history)
+
+
+def seen(env: Environment, prepared: PreparedLevels, obs: Any, history: History) -> Any:
+    """Input of a network: the joined observation, with n above 0 together with the steps before."""
+    now = env.observe(prepared, obs)
+    if not len(history.actions):
+        return now
+    past = jax.vmap(lambda earlier: env.observe(prepared, earlier))(history.obs)
+    return Remembered(now, past, history.actions)
