@@ -3,7 +3,8 @@
     before an episode      its first observation, and actions of 0
     then, newest first     what was observed, and the action that was chosen there
 
-Actions are those of the policy: noise that is added to them later is not seen.
+In play actions are those that the policy chose: noise that is added later is not seen. In data (windows.py) they are
+those that were executed.
 """
 
 from __future__ import annotations
