@@ -191,8 +191,14 @@ class Specialists:
             evaluation += (time.monotonic() - began) / count
             return points
 
-        def end(numbers: Sequence[int]) -> None:
-            for i in numbers:
+        ended: dict[int, Specialist] = {}
+        curves = [[point] for point in evaluated(0)]
+        update = 0
+        while True:
+            all_end = self._is_over(update, training)
+            for i in range(count):
+                if i in ended or not (all_end or self._is_good(curves[i][-1])):
+                    continue
                 ended[i] = Specialist(
                     points=tuple(curves[i]),
                     params=local_values(states[i].released),
@@ -202,17 +208,9 @@ class Specialists:
                     skipped_steps=skipped[i],
                 )
                 on_end(i, ended[i])
-
-        ended: dict[int, Specialist] = {}
-        curves = [[point] for point in evaluated(0)]
-        update = 0
-        while True:
             learning = [i for i in range(count) if i not in ended]
-            is_over = self._is_over(update, training)
-            end([i for i in learning if is_over or self._is_good(curves[i][-1])])
-            if len(ended) == count:
+            if not learning:
                 return [ended[i] for i in range(count)]
-            learning = [i for i in learning if i not in ended]
             began = time.monotonic()
             metrics, own_skipped = self._update(states, seeded, update, learning)
             training += (time.monotonic() - began) / count
