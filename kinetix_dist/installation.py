@@ -11,7 +11,6 @@ warning where it would not but the other one is installed too.
 from __future__ import annotations
 
 import functools
-import importlib.metadata
 import os
 import sys
 import warnings
@@ -32,9 +31,11 @@ def data_directory(name: str) -> Path:
 
 def version_of(package: str = "kinetix-dist") -> str:
     """Version of an installed package; "not installed" of one that is not, as this one where a checkout is run."""
+    from importlib.metadata import PackageNotFoundError, version  # 20 ms that an import of the package does not need
+
     try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
+        return version(package)
+    except PackageNotFoundError:
         return "not installed"
 
 
