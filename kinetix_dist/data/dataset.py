@@ -105,23 +105,24 @@ class Dataset:
         chosen = [self.shards[number] for number in numbers]
         static_obs, shapes = self.levels.static_obs, self._shapes  # without levels no shard can be read
         with ThreadPoolExecutor() as pool:
-            found = list(pool.map(lambda shard: self._part(shard, static_obs, shapes), chosen))
-        for part in found:
-            if isinstance(part, DatasetError) and not self._skip_damaged:
-                raise part
-            if isinstance(part, DatasetError) and str(part) not in self.skipped:
-                self.skipped.append(str(part))
-        return [part for part in found if not isinstance(part, DatasetError)]
+            reading = [pool.submit(self._part, shard, static_obs, shapes) for shard in chosen]
+        found = []
+        for part in reading:
+            try:
+                found.append(part.result())
+            except DatasetError as error:
+                if not self._skip_damaged:
+                    raise
+                if str(error) not in self.skipped:
+                    self.skipped.append(str(error))
+        return found
 
-    def _part(self, shard: Shard, static_obs: Any, shapes: Any) -> Transitions | DatasetError:
-        try:
-            content = read_content(self.folder, shard)
-        except DatasetError as error:
-            return error
+    def _part(self, shard: Shard, static_obs: Any, shapes: Any) -> Transitions:
+        content = read_content(self.folder, shard)
         try:
             return from_parquet(content, static_obs, shapes)
         except (KeyError, ValueError, pa.ArrowException) as error:
-            return DatasetError(f"shard {self.folder / shard.file} is of another version: {error}")
+            raise DatasetError(f"shard {self.folder / shard.file} is of another version: {error}") from None
 
 
 def open_dataset(folder: str | Path, *, skip_damaged: bool = False) -> Dataset:

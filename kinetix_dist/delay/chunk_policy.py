@@ -39,7 +39,7 @@ from kinetix_dist.env.action_spaces import ActionSpace
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.walls import empty_level
-from kinetix_dist.models.flow_network import FlowNetwork, Remembered
+from kinetix_dist.models.flow_network import FlowNetwork
 from kinetix_dist.models.policy import PolicyConfig, make_encoder
 from kinetix_dist.setting import ConfigError, check_settings, setting
 from kinetix_dist.trained_policy import CHUNK_POLICY
@@ -139,17 +139,10 @@ def bound_dimensions(env: Environment, bound_heads: Array | None, num_worlds: in
 
 def init_params(policy: ChunkPolicy, obs: Any, key: Array) -> Any:
     """Parameters, float32, drawn for one world of `obs`. Consumes the key."""
-    one = _of_first_world(obs)
+    one = jax.tree.map(lambda x: x[:1], obs)
     chunk = jnp.zeros((1, policy.horizon, policy.space.num_dimensions), jnp.float32)
     with prng.pinned():
         return jax.jit(policy.network.init)(key, one, chunk, jnp.zeros(chunk.shape[:2]))
-
-
-def _of_first_world(obs: Any) -> Any:
-    if not isinstance(obs, Remembered):
-        return jax.tree.map(lambda x: x[:1], obs)
-    past, actions = jax.tree.map(lambda x: x[:, :1], (obs.past, obs.actions))
-    return Remembered(_of_first_world(obs.now), past, actions)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -169,10 +162,8 @@ class TrainedChunks:
 
         def init(key: Array) -> Any:
             prepared = env.prepare(level)
-            chunk = jnp.zeros((1, policy.horizon, policy.space.num_dimensions))
             none = begun(prepared.initial_obs, policy.history, policy.space.num_dimensions)
-            obs = seen(env, prepared, prepared.initial_obs, none)
-            return policy.network.init(key, obs, chunk, jnp.zeros(chunk.shape[:2]))
+            return init_params(policy, seen(env, prepared, prepared.initial_obs, none), key)
 
         template = jax.eval_shape(init, prng.key(0))
         return policy, jax.tree.map(jnp.asarray, unflatten_arrays(template, self.arrays))

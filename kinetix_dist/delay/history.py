@@ -23,26 +23,30 @@ from kinetix_dist.models.flow_network import Remembered
 class History(NamedTuple):
     """The last n steps of W worlds, the newest first."""
 
-    obs: Any  # dynamic, [n, W, ...]
-    actions: Array  # [n, W, A] in -1..1
+    obs: Any  # dynamic, [W, n, ...]
+    actions: Array  # [W, n, A] in -1..1
 
 
 def begun(obs: Any, length: int, num_dimensions: int) -> History:
     """History of worlds whose episodes begin. obs: dynamic, [W, ...]."""
     num_worlds = jax.tree.leaves(obs)[0].shape[0]
-    repeated = jax.tree.map(lambda x: jnp.broadcast_to(x, (length, *x.shape)), obs)
-    return History(repeated, jnp.zeros((length, num_worlds, num_dimensions), jnp.float32))
+    repeated = jax.tree.map(lambda x: jnp.repeat(x[:, None], length, axis=1), obs)
+    return History(repeated, jnp.zeros((num_worlds, length, num_dimensions), jnp.float32))
 
 
 def after(history: History, obs: Any, actions: Array) -> History:
     """History when actions [W, A] were chosen at `obs`."""
-    return jax.tree.map(lambda new, old: jnp.concatenate([new[None], old])[: len(old)], History(obs, actions), history)
+
+    def pushed(new: Array, old: Array) -> Array:
+        return jnp.concatenate([new[:, None], old], axis=1)[:, : old.shape[1]]
+
+    return jax.tree.map(pushed, History(obs, actions), history)
 
 
 def seen(env: Environment, prepared: PreparedLevels, obs: Any, history: History) -> Any:
     """Input of a network: the joined observation, with n above 0 together with the steps before."""
     now = env.observe(prepared, obs)
-    if not len(history.actions):
+    if not history.actions.shape[1]:
         return now
-    past = jax.vmap(lambda earlier: env.observe(prepared, earlier))(history.obs)
+    past = jax.vmap(lambda earlier: env.observe(prepared, earlier), in_axes=1, out_axes=1)(history.obs)
     return Remembered(now, past, history.actions)

@@ -61,13 +61,12 @@ def observations(env: Any, samples: Samples, rows: Array, history: int = 0) -> t
     now = _joined(env, samples, level, rows)
     if not history:
         return now, bound
-    back = jnp.arange(1, history + 1)[:, None]
+    back, here = jnp.arange(1, history + 1), rows[:, None]
     # Rows of an episode count down to its end: one of another episode has fewer left than that.
-    is_there = (rows >= back) & (samples.left[jnp.maximum(rows - back, 0)] == samples.left[rows] + back)
-    first = rows - jnp.sum(is_there, axis=0)
-    index = jnp.maximum(rows - back, first)
-    past = jax.vmap(lambda earlier: _joined(env, samples, level, earlier))(index)
-    actions = jnp.where(is_there[..., None] & bound, samples.actions[index], 0.0)
+    is_there = (here >= back) & (samples.left[jnp.maximum(here - back, 0)] == samples.left[here] + back)
+    index = jnp.maximum(here - back, here - jnp.sum(is_there, axis=1, keepdims=True))
+    past = jax.vmap(lambda earlier: _joined(env, samples, level, earlier), in_axes=1, out_axes=1)(index)
+    actions = jnp.where(is_there[..., None] & bound[:, None], samples.actions[index], 0.0)
     return Remembered(now, past, actions), bound
 
 

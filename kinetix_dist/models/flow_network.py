@@ -30,8 +30,8 @@ class Remembered(NamedTuple):
     """Observation of B worlds with n steps before it, the newest first."""
 
     now: Any  # [B, ...]
-    past: Any  # [n, B, ...]
-    actions: Array  # [n, B, A] in -1..1, of these steps
+    past: Any  # [B, n, ...]
+    actions: Array  # [B, n, A] in -1..1, of these steps
 
 
 class FlowNetwork(nn.Module):
@@ -61,10 +61,11 @@ class FlowNetwork(nn.Module):
         for a network that has no embedding to give."""
         if not isinstance(obs, Remembered):
             return self.embed(self._encoded(obs))
-        count, num_worlds = obs.actions.shape[:2]
-        flat = jax.tree.map(lambda now, past: jnp.concatenate([now[None], past]).reshape(-1, *now.shape[1:]), *obs[:2])
-        embeddings = self._encoded(flat).reshape(count + 1, num_worlds, -1)
-        return self.embed(jnp.concatenate([*embeddings, *obs.actions], axis=-1))
+        num_worlds = len(obs.actions)
+        steps = jax.tree.map(lambda now, past: jnp.concatenate([now[:, None], past], axis=1), obs.now, obs.past)
+        embeddings = self._encoded(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), steps))
+        beside = embeddings.reshape(num_worlds, -1), obs.actions.reshape(num_worlds, -1)
+        return self.embed(jnp.concatenate(beside, axis=1))
 
     def _encoded(self, obs: Any) -> Array:
         embedding = self.encoder(obs)

@@ -137,8 +137,8 @@ class _Remembers(Sees):
         del policy, params, old
         now, past, actions = seen.obs
         phase = now.polygons[..., :2].sum(axis=(-2, -1)) * 40.0
-        phase += jnp.tensordot(jnp.array([20.0, 10.0]), past.polygons[..., :2].sum(axis=(-2, -1)), 1)
-        phase += jnp.tensordot(jnp.array([3.0, 2.0]), actions.sum(axis=-1), 1)
+        phase += jnp.tensordot(jnp.array([20.0, 10.0]), past.polygons[..., :2].sum(axis=(-2, -1)).T, 1)
+        phase += jnp.tensordot(jnp.array([3.0, 2.0]), actions.sum(axis=-1).T, 1)
         return jnp.sin(phase[:, None, None] + jnp.arange(self.horizon)[:, None] + jnp.arange(6.0))
 
 
@@ -148,8 +148,8 @@ def test_a_policy_with_history_sees_the_steps_before(env: Environment, attempts:
     nothing = jnp.zeros((len(attempts.index), 6))
 
     def seen_at(t: int) -> Remembered:
-        past = jax.tree.map(lambda *xs: jnp.stack(xs), *(loop.seen[max(t - back, 0)] for back in (1, 2)))
-        actions = jnp.stack([chosen[t - back] if t >= back else nothing for back in (1, 2)])
+        past = jax.tree.map(lambda *xs: jnp.stack(xs, 1), *(loop.seen[max(t - back, 0)] for back in (1, 2)))
+        actions = jnp.stack([chosen[t - back] if t >= back else nothing for back in (1, 2)], 1)
         return Remembered(loop.seen[t], past, actions)
 
     chosen: list[jax.Array] = []

@@ -78,9 +78,9 @@ def test_steps_before_a_row_are_those_of_its_episode(history: int) -> None:
         first = int(np.flatnonzero(episode == episode[row])[0])
         assert float(found.now[row]) == 1000 * (1 + level[row]) + row
         for back in range(1, history + 1):
-            assert float(found.past[back - 1, row]) == 1000 * (1 + level[row]) + max(row - back, first)
+            assert float(found.past[row, back - 1]) == 1000 * (1 + level[row]) + max(row - back, first)
             expected = actions[row - back] * bound[level[row]] if row - back >= first else np.zeros(2)
-            np.testing.assert_array_equal(found.actions[back - 1, row], expected)
+            np.testing.assert_array_equal(found.actions[row, back - 1], expected)
 
 
 def test_rows_of_an_episode_that_are_apart_are_refused() -> None:
