@@ -374,7 +374,6 @@ struct Contacts {
   KFN void solve_soft(Bodies& bodies, Joints& joints, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
-    Response first_moves = {real(0), real(0), real(0), false}, second_moves = first_moves;
     unsigned int placed[JOINT_WORDS];  // joints whose system is that of where bodies stand: without bias they have moved
     JointSystem::clear(placed);
     for (int i = 0; i < count; ++i) {
@@ -409,11 +408,8 @@ struct Contacts {
       if (c.is_impact && round == 0) {
         unsigned int jointed[JOINT_WORDS];
         bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
-        Response& moves = c.is_second ? second_moves : first_moves;
-        if (repeats == 0) moves.is_known = false;
         unsigned int* moved_since = use_bias ? nullptr : placed;
-        real change = solve_impact(bodies, joints, soft, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, jointed, moved_since},
-                                   moves);
+        real change = solve_impact(bodies, joints, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, jointed, moved_since});
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         pair.write_back(bodies);
@@ -457,7 +453,6 @@ struct Contacts {
   // What impulses along the normal and the tangent of a contact change of its speeds along them.
   struct Response {
     real nn, nt, tt;
-    bool is_known;
   };
 
   // Where an impact acts, the speeds that are wanted, and joints of the articulations of its bodies. `placed`: of those whose
@@ -470,35 +465,29 @@ struct Contacts {
     unsigned int* placed;
   };
 
-  // Solves an impact. What is jointed to its bodies answers at once: first to an impulse of 1 along the normal and the tangent,
-  // unless it is known what these move, then to that of the impact. What opens by itself has none, though friction could hold it
+  // Solves an impact. What is jointed to its bodies answers at once, to an impulse of 1 along the normal and along the tangent;
+  // what it answers to that of the impact is a sum of both. What opens by itself has none, though friction could hold it
   // (Painleve's paradox). Returns by how much (m/s) it changed a speed.
-  KFN real solve_impact(Bodies& bodies, Joints& joints, const Soft& soft, Pair& pair, Contact& c, const Impact& impact,
-                        Response& moves) {
-    Vec2 tangent = c.normal.right(), added = {real(0), real(0)}, v = pair.relative(impact.arms.a, impact.arms.b);
+  KFN real solve_impact(Bodies& bodies, Joints& joints, Pair& pair, Contact& c, const Impact& impact) {
+    Vec2 tangent = c.normal.right(), v = pair.relative(impact.arms.a, impact.arms.b);
     Vec2 speeds = {c.normal.dot(v) + impact.bias, tangent.dot(v) - impact.along};
     if (c.impulse_normal == real(0) && c.impulse_tangent == real(0) && speeds.x >= real(0)) return real(0);
-    for (int stage = moves.is_known ? 2 : 0; stage < 3; ++stage) {
-      Vec2 push = stage == 0 ? c.normal : tangent;
-      if (stage == 2) {
-        Vec2 total = stick_or_slide(c, speeds, moves);
-        added = {total.x - c.impulse_normal, total.y - c.impulse_tangent};
-        c.impulse_normal = total.x;
-        c.impulse_tangent = total.y;
-        push = (c.normal * added.x).plus(tangent, added.y);
-      }
-      Pair change = pair.at_rest();
-      change.apply_impulse(impact.arms.a, impact.arms.b, push);
-      if (impact.is_jointed) {
-        bool is_new = stage == 0 && impact.placed && !JointSystem::has_all(impact.placed, impact.jointed);
-        joints.add_answer(bodies, impact.jointed, soft, change, {is_new, stage == 2}, active);
-        if (is_new) JointSystem::add_all(impact.placed, impact.jointed);
-      }
-      Vec2 speed = change.relative(impact.arms.a, impact.arms.b);
-      if (stage == 0) moves = {c.normal.dot(speed), tangent.dot(speed), real(0), true};
-      if (stage == 1) moves.tt = tangent.dot(speed);
-      if (stage == 2) pair.add(change);
+    Pair by_normal = pair.at_rest(), by_tangent = pair.at_rest();
+    by_normal.apply_impulse(impact.arms.a, impact.arms.b, c.normal);
+    by_tangent.apply_impulse(impact.arms.a, impact.arms.b, tangent);
+    if (impact.is_jointed) {
+      bool is_new = impact.placed && !JointSystem::has_all(impact.placed, impact.jointed);
+      joints.add_answers(bodies, impact.jointed, by_normal, by_tangent, is_new);
+      if (is_new) JointSystem::add_all(impact.placed, impact.jointed);
     }
+    Vec2 along_normal = by_normal.relative(impact.arms.a, impact.arms.b), along_tangent = by_tangent.relative(impact.arms.a, impact.arms.b);
+    Response moves = {c.normal.dot(along_normal), tangent.dot(along_normal), tangent.dot(along_tangent)};
+    Vec2 total = stick_or_slide(c, speeds, moves), added = {total.x - c.impulse_normal, total.y - c.impulse_tangent};
+    c.impulse_normal = total.x;
+    c.impulse_tangent = total.y;
+    if (impact.is_jointed) joints.exert_answers(bodies, impact.jointed, added, active);
+    pair.add(by_normal, added.x);
+    pair.add(by_tangent, added.y);
     return Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
   }
 
