@@ -4,7 +4,13 @@
 // equations. Hard contacts (preset paper) follow the appendix of the Kinetix paper.
 
 struct Contact {
-  int a, b, key;
+  unsigned int a : SHAPE_BITS, b : SHAPE_BITS;  // with what follows one word: a GPU waits for each that it loads
+  bool against_fixed : 1;      // one of the two cannot be pushed
+  bool against_kinematic : 1;  // and moves
+  bool is_impact : 1;          // they meet fast, and were apart before
+  bool is_second : 1;          // of two points of one pair
+  bool disc_on_face : 1;       // b is a disc on a face of a
+  int key;
   Vec2 normal;
   Vec2 arm_a, arm_b;         // from the centres of mass to both surfaces, at the start of the step
   real follows_b;            // share by which the common point goes with b; the rest goes with a
@@ -15,11 +21,6 @@ struct Contact {
   real approach;             // relative normal speed before solving, negative when approaching; later before a last push
   real bounce;               // normal speed to leave with, once it is known that it bounces; else 0
   real max_impulse;         // largest normal impulse in this step
-  bool against_fixed;      // one of the two cannot be pushed
-  bool against_kinematic;  // and moves
-  bool is_impact;            // they meet fast, and were apart before
-  bool is_second;          // of two points of one pair
-  bool disc_on_face;       // b is a disc on a face of a
 };
 
 struct Contacts {
@@ -123,7 +124,7 @@ struct Contacts {
         // Discs have no corners to turn about: theirs are handed on (SHARES_IMPACTS) or left to the next sub-step.
         c.is_impact = SOFT_STEP && c.approach < -MIN_IMPACT_SPEED && c.impulse_normal == real(0) && (SHARES_IMPACTS || b < NUM_POLYGONS);
         c.is_second = SOFT_STEP && p > 0 && count > 1 && list[count - 2].key >> FEATURE_BITS == pair_key >> FEATURE_BITS;
-        if (c.is_second) c.is_impact = list[count - 2].is_impact = c.is_impact || list[count - 2].is_impact;
+        if (c.is_second) c.is_impact = list[count - 2].is_impact = c.is_impact | list[count - 2].is_impact;
         if (SOFT_STEP) may_bounce |= hits(c, threshold);
         if (ahead) is_unsteady |= hits_hard(geometry, c, reach, dt) || bounces_aside(bodies, c, d, threshold, dt);
       }
@@ -427,7 +428,8 @@ struct Contacts {
       }
       real mass = c.mass_normal, mass_tangent = c.mass_tangent;
       if (!c.against_fixed) {
-        if (!bounces || round == 1) mass = c.mass_normal = pair.mass(arms.a, arms.b, c.normal);
+        if (!bounces || round == 1) mass = pair.mass(arms.a, arms.b, c.normal);
+        if (bounces) c.mass_normal = mass;
         mass_tangent = pair.mass(arms.a, arms.b, c.normal.right());
       }
       if (bounces) {

@@ -269,8 +269,10 @@ struct JointSystem {
   ARRAY(AxialRow, axial, HAS_AXES ? NUM_JOINTS + 1 : 1);  // of joints with a motor or limits
   int count;
 
-  KFN static int block(int k, int i) { return k * (2 * NUM_JOINTS - k - 1) / 2 + (i - k - 1); }
   KFN unsigned int* after_of(int k) const { return after + k * JOINT_WORDS; }
+  // Blocks of a joint's row stand one after another: where its first one is, and that with the column of a later joint.
+  KFN static int first_block(int k) { return k * (2 * NUM_JOINTS - k - 1) / 2; }
+  KFN int block(int k, int i) const { return first_block(k) + Bits::below(after_of(k), JOINT_WORDS, i); }
   KFN static bool has(const unsigned int* joints, int k) { return Bits::has(joints, JOINT_WORDS, k); }
   KFN static void add(unsigned int* joints, int k) { Bits::add(joints, JOINT_WORDS, k); }
   KFN static void remove(unsigned int* joints, int k) { Bits::remove(joints, JOINT_WORDS, k); }
@@ -339,16 +341,18 @@ struct JointSystem {
       Vec3 own = factor.solve(x[k.joint]), second = both ? factor.solve(y[k.joint]) : own;
       x[k.joint] = own;
       if (both) y[k.joint] = second;
-      for (EachJoint i = EachJoint::of(after_of(k.joint)); i.next();) {
-        Block of_i = above[block(k.joint, i.joint)];
+      int column = first_block(k.joint);
+      for (EachJoint i = EachJoint::of(after_of(k.joint)); i.next(); ++column) {
+        Block of_i = above[column];
         x[i.joint] = x[i.joint].plus(of_i.transposed_times(own), real(-1));
         if (both) y[i.joint] = y[i.joint].plus(of_i.transposed_times(second), real(-1));
         if (!is_new) continue;
         Block solved = of_i.solved(factor), square = Block::of(diagonal[i.joint]).minus(solved, of_i);
         diagonal[i.joint] = {square.x.x, square.x.y, square.x.z, square.y.y, square.y.z, square.z.z};
+        int next = column;
         for (EachJoint j = i; j.next();) {
           Block& pair = above[block(i.joint, j.joint)];
-          pair = pair.minus(solved, above[block(k.joint, j.joint)]);
+          pair = pair.minus(solved, above[++next]);
         }
       }
     }
@@ -358,8 +362,9 @@ struct JointSystem {
   KFN Vec3 substitute(int k, bool both) {
     if (last[k] == k) return x[k];
     Vec3 right = {real(0), real(0), real(0)}, second = right;
-    for (EachJoint i = EachJoint::of(after_of(k)); i.next();) {
-      Block of_i = above[block(k, i.joint)];
+    int column = first_block(k);
+    for (EachJoint i = EachJoint::of(after_of(k)); i.next(); ++column) {
+      Block of_i = above[column];
       right = right.plus(of_i.times(x[i.joint]), real(-1));
       if (both) second = second.plus(of_i.times(y[i.joint]), real(-1));
     }
@@ -375,8 +380,9 @@ struct JointSystem {
     for (int i = k; i < count; ++i) {
       Vec3 own = diagonal[i].solve(x[i]);
       x[i] = own;
-      for (EachJoint j = EachJoint::of(after_of(i)); j.next();)
-        x[j.joint] = x[j.joint].plus(above[block(i, j.joint)].transposed_times(own), real(-1));
+      int column = first_block(i);
+      for (EachJoint j = EachJoint::of(after_of(i)); j.next(); ++column)
+        x[j.joint] = x[j.joint].plus(above[column].transposed_times(own), real(-1));
     }
     for (int i = count - 1; i >= k; --i) substitute(i, false);
     return Math::inverse_or_zero(x[k].z);

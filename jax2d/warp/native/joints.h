@@ -395,14 +395,11 @@ struct Joints {
       if (HAS_AXES && joint.has_axial_row()) wrong.z = rows.third * (rows.axial_speed(pair) - system.axial[k.joint].speed());
       if (use_bias) wrong = wrong.plus(rows.yielding(pair, joint.held_impulse()), real(1));
       system.x[k.joint] = wrong;
-      if (is_new) system.diagonal[k.joint] = rows.held(pair);
-    }
-    if (!is_new) return;
-    for (EachJoint k = EachJoint::of(which); k.next();) {
-      JointRows rows = rows_of(k.joint);
-      for (EachJoint i = EachJoint::of(system.after_of(k.joint)); i.next();)
-        system.above[JointSystem::block(k.joint, i.joint)] =
-            coupling(bodies, list[k.joint], rows, list[i.joint], rows_of(i.joint));
+      if (!is_new) continue;
+      system.diagonal[k.joint] = rows.held(pair);
+      int column = JointSystem::first_block(k.joint);
+      for (EachJoint i = EachJoint::of(system.after_of(k.joint)); i.next(); ++column)
+        system.above[column] = coupling(bodies, joint, rows, list[i.joint], rows_of(i.joint));
     }
   }
 
