@@ -43,10 +43,10 @@ struct Contacts {
   KFN void find(const Bodies& bodies, const Geometry& geometry, const Column& scene, const IntColumn& ints,
                 const Column& params, const IntColumn& old_keys, const Column& old_impulses, real reach, real dt,
                 bool ahead, bool is_start, bool all, const unsigned int* found) {
-    int kept = 0;
-    for (int k = 0; k < count && !all; ++k)
-      if (!is_of(list[k], found)) move(k, kept++);
-    count = kept;
+    int kept = NUM_CONTACTS;  // the first of those that stay: they wait at the end of the list
+    for (int k = count - 1; k >= 0 && !all; --k)
+      if (!is_of(list[k], found)) move(k, --kept);
+    count = 0;
     overflow = 0;
     if (all) {
       may_bounce = false;
@@ -57,12 +57,11 @@ struct Contacts {
     if (NUM_CONTACTS == 0) return;
     ahead = ahead && HAS_CONTINUOUS_COLLISION;
     bool warm = params.get(PARAM_WARM_START) != real(0);
-    pairs.find(bodies, geometry, ints, reach, ahead);
+    pairs.find(bodies, geometry, ints, reach, ahead, found);
     PairWalk walk = PairWalk::over(pairs);
     int old_slot = 0, slot_b;
     while ((slot_b = walk.next_slot(pairs)) >= 0) {
       int a = walk.a, b = Slot::shape(slot_b), slot_a = Slot::of(a);
-      if (!all && !is_found(bodies, found, a, b)) continue;
       Vec2 d = bodies.position[b] - bodies.position[a], motion = bodies.velocity(b) - bodies.velocity(a);
       real speed = motion.length(), margin = Pairs::margin(geometry, a, b, speed, reach, ahead);
       if (!geometry.bounds_overlap(a, b, d, margin)) continue;
@@ -80,8 +79,9 @@ struct Contacts {
         if (key < 0 || key >= pair_key) break;
         ++old_slot;
       }
+      for (; kept < NUM_CONTACTS && list[kept].key < pair_key; ++kept) move(kept, count++);
       for (int p = 0; p < m.count; ++p) {
-        if (count == NUM_CONTACTS) {
+        if (count == kept) {
           ++overflow;
           continue;
         }
@@ -130,22 +130,7 @@ struct Contacts {
       }
       if (is_unsteady) bodies.add_moving(unsteady, a, b);
     }
-    if (kept > 0) sort(kept);
-  }
-
-  // Puts contacts from the first one that was found among those that were kept, by their pairs.
-  KFN void sort(int first) {
-    for (int k = first; k < count; ++k) {
-      int to = k;
-      move(k, NUM_CONTACTS);
-      for (; to > 0 && list[to - 1].key >> FEATURE_BITS > list[NUM_CONTACTS].key >> FEATURE_BITS; --to) move(to - 1, to);
-      move(NUM_CONTACTS, to);
-    }
-  }
-
-  KFN static bool is_found(const Bodies& bodies, const unsigned int* found, int a, int b) {
-    bool of_a = Bodies::has(found, a), of_b = Bodies::has(found, b);
-    return (of_a || of_b) && (of_a || !bodies.moves(a)) && (of_b || !bodies.moves(b));
+    for (; kept < NUM_CONTACTS; ++kept) move(kept, count++);
   }
 
   KFN void move(int from, int to) {
