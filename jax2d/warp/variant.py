@@ -11,8 +11,11 @@ from jax2d.settings import Settings, Solver
 
 # What a GPU steps many worlds with, and from how many on that is faster. Numbers of a body in shared memory, all that
 # solving uses: that is taken from the cache, of which few worlds make better use, and so do kernels of many shapes.
-# Blocks of a multiprocessor, for which the compiler keeps to fewer registers: few worlds have not so many blocks.
-MANY_WORLDS, SHARED_RECORD, MIN_BLOCKS = 65536, 8, 8
+MANY_WORLDS, SHARED_RECORD = 65536, 8
+
+# From how many worlds on the compiler keeps to registers for so many blocks of a multiprocessor. With eight of them 65,536
+# worlds run at once; more take turns anyway, and then have more registers and more of the cache.
+MIN_BLOCKS = ((131072, 6), (65536, 8))
 
 # Up to how many worlds a warp has so few of them, a lane each: it takes as long as the longest of its worlds. More
 # warps with idle lanes are in each other's way in the cache.
@@ -94,8 +97,8 @@ class KernelVariant:
         lanes, blocks = options.warp_worlds, options.min_blocks
         if lanes is None:
             lanes = FEW_IN_WARP if worlds <= FEW_WORLDS else WARP
-        if blocks is None and worlds >= MANY_WORLDS:
-            blocks = MIN_BLOCKS
+        if blocks is None:
+            blocks = next((number for least, number in MIN_BLOCKS if worlds >= least), None)
         return dataclasses.replace(self, shared_record=record, warp_worlds=lanes, min_blocks=blocks)
 
     @property

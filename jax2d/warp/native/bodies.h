@@ -336,11 +336,11 @@ struct Pair {
     velocity = velocity + v;
     (body == a ? omega_a : omega_b) += w;
   }
-  KFN void add(const Pair& change) {
-    velocity_a = velocity_a + change.velocity_a;
-    velocity_b = velocity_b + change.velocity_b;
-    omega_a += change.omega_a;
-    omega_b += change.omega_b;
+  KFN void add(const Pair& change, real times) {
+    velocity_a = velocity_a.plus(change.velocity_a, times);
+    velocity_b = velocity_b.plus(change.velocity_b, times);
+    omega_a = Fused::of(change.omega_a, times, omega_a);
+    omega_b = Fused::of(change.omega_b, times, omega_b);
   }
 
   KFN void apply_angular_impulse(real impulse_on_b) {

@@ -4,7 +4,13 @@
 // equations. Hard contacts (preset paper) follow the appendix of the Kinetix paper.
 
 struct Contact {
-  int a, b, key;
+  unsigned int a : SHAPE_BITS, b : SHAPE_BITS;  // with what follows one word: a GPU waits for each that it loads
+  bool against_fixed : 1;      // one of the two cannot be pushed
+  bool against_kinematic : 1;  // and moves
+  bool is_impact : 1;          // they meet fast, and were apart before
+  bool is_second : 1;          // of two points of one pair
+  bool disc_on_face : 1;       // b is a disc on a face of a
+  int key;
   Vec2 normal;
   Vec2 arm_a, arm_b;         // from the centres of mass to both surfaces, at the start of the step
   real follows_b;            // share by which the common point goes with b; the rest goes with a
@@ -15,11 +21,6 @@ struct Contact {
   real approach;             // relative normal speed before solving, negative when approaching; later before a last push
   real bounce;               // normal speed to leave with, once it is known that it bounces; else 0
   real max_impulse;         // largest normal impulse in this step
-  bool against_fixed;      // one of the two cannot be pushed
-  bool against_kinematic;  // and moves
-  bool is_impact;            // they meet fast, and were apart before
-  bool is_second;          // of two points of one pair
-  bool disc_on_face;       // b is a disc on a face of a
 };
 
 struct Contacts {
@@ -42,10 +43,10 @@ struct Contacts {
   KFN void find(const Bodies& bodies, const Geometry& geometry, const Column& scene, const IntColumn& ints,
                 const Column& params, const IntColumn& old_keys, const Column& old_impulses, real reach, real dt,
                 bool ahead, bool is_start, bool all, const unsigned int* found) {
-    int kept = 0;
-    for (int k = 0; k < count && !all; ++k)
-      if (!is_of(list[k], found)) move(k, kept++);
-    count = kept;
+    int kept = NUM_CONTACTS;  // the first of those that stay: they wait at the end of the list
+    for (int k = count - 1; k >= 0 && !all; --k)
+      if (!is_of(list[k], found)) move(k, --kept);
+    count = 0;
     overflow = 0;
     if (all) {
       may_bounce = false;
@@ -56,12 +57,11 @@ struct Contacts {
     if (NUM_CONTACTS == 0) return;
     ahead = ahead && HAS_CONTINUOUS_COLLISION;
     bool warm = params.get(PARAM_WARM_START) != real(0);
-    pairs.find(bodies, geometry, ints, reach, ahead);
+    pairs.find(bodies, geometry, ints, reach, ahead, found);
     PairWalk walk = PairWalk::over(pairs);
     int old_slot = 0, slot_b;
     while ((slot_b = walk.next_slot(pairs)) >= 0) {
       int a = walk.a, b = Slot::shape(slot_b), slot_a = Slot::of(a);
-      if (!all && !is_found(bodies, found, a, b)) continue;
       Vec2 d = bodies.position[b] - bodies.position[a], motion = bodies.velocity(b) - bodies.velocity(a);
       real speed = motion.length(), margin = Pairs::margin(geometry, a, b, speed, reach, ahead);
       if (!geometry.bounds_overlap(a, b, d, margin)) continue;
@@ -79,8 +79,9 @@ struct Contacts {
         if (key < 0 || key >= pair_key) break;
         ++old_slot;
       }
+      for (; kept < NUM_CONTACTS && list[kept].key < pair_key; ++kept) move(kept, count++);
       for (int p = 0; p < m.count; ++p) {
-        if (count == NUM_CONTACTS) {
+        if (count == kept) {
           ++overflow;
           continue;
         }
@@ -123,28 +124,13 @@ struct Contacts {
         // Discs have no corners to turn about: theirs are handed on (SHARES_IMPACTS) or left to the next sub-step.
         c.is_impact = SOFT_STEP && c.approach < -MIN_IMPACT_SPEED && c.impulse_normal == real(0) && (SHARES_IMPACTS || b < NUM_POLYGONS);
         c.is_second = SOFT_STEP && p > 0 && count > 1 && list[count - 2].key >> FEATURE_BITS == pair_key >> FEATURE_BITS;
-        if (c.is_second) c.is_impact = list[count - 2].is_impact = c.is_impact || list[count - 2].is_impact;
+        if (c.is_second) c.is_impact = list[count - 2].is_impact = c.is_impact | list[count - 2].is_impact;
         if (SOFT_STEP) may_bounce |= hits(c, threshold);
         if (ahead) is_unsteady |= hits_hard(geometry, c, reach, dt) || bounces_aside(bodies, c, d, threshold, dt);
       }
       if (is_unsteady) bodies.add_moving(unsteady, a, b);
     }
-    if (kept > 0) sort(kept);
-  }
-
-  // Puts contacts from the first one that was found among those that were kept, by their pairs.
-  KFN void sort(int first) {
-    for (int k = first; k < count; ++k) {
-      int to = k;
-      move(k, NUM_CONTACTS);
-      for (; to > 0 && list[to - 1].key >> FEATURE_BITS > list[NUM_CONTACTS].key >> FEATURE_BITS; --to) move(to - 1, to);
-      move(NUM_CONTACTS, to);
-    }
-  }
-
-  KFN static bool is_found(const Bodies& bodies, const unsigned int* found, int a, int b) {
-    bool of_a = Bodies::has(found, a), of_b = Bodies::has(found, b);
-    return (of_a || of_b) && (of_a || !bodies.moves(a)) && (of_b || !bodies.moves(b));
+    for (; kept < NUM_CONTACTS; ++kept) move(kept, count++);
   }
 
   KFN void move(int from, int to) {
@@ -374,7 +360,6 @@ struct Contacts {
   KFN void solve_soft(Bodies& bodies, Joints& joints, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
-    Response first_moves = {real(0), real(0), real(0), false}, second_moves = first_moves;
     unsigned int placed[JOINT_WORDS];  // joints whose system is that of where bodies stand: without bias they have moved
     JointSystem::clear(placed);
     for (int i = 0; i < count; ++i) {
@@ -409,11 +394,8 @@ struct Contacts {
       if (c.is_impact && round == 0) {
         unsigned int jointed[JOINT_WORDS];
         bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
-        Response& moves = c.is_second ? second_moves : first_moves;
-        if (repeats == 0) moves.is_known = false;
         unsigned int* moved_since = use_bias ? nullptr : placed;
-        real change = solve_impact(bodies, joints, soft, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, jointed, moved_since},
-                                   moves);
+        real change = solve_impact(bodies, joints, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, jointed, moved_since});
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         pair.write_back(bodies);
@@ -431,7 +413,8 @@ struct Contacts {
       }
       real mass = c.mass_normal, mass_tangent = c.mass_tangent;
       if (!c.against_fixed) {
-        if (!bounces || round == 1) mass = c.mass_normal = pair.mass(arms.a, arms.b, c.normal);
+        if (!bounces || round == 1) mass = pair.mass(arms.a, arms.b, c.normal);
+        if (bounces) c.mass_normal = mass;
         mass_tangent = pair.mass(arms.a, arms.b, c.normal.right());
       }
       if (bounces) {
@@ -457,7 +440,6 @@ struct Contacts {
   // What impulses along the normal and the tangent of a contact change of its speeds along them.
   struct Response {
     real nn, nt, tt;
-    bool is_known;
   };
 
   // Where an impact acts, the speeds that are wanted, and joints of the articulations of its bodies. `placed`: of those whose
@@ -470,35 +452,29 @@ struct Contacts {
     unsigned int* placed;
   };
 
-  // Solves an impact. What is jointed to its bodies answers at once: first to an impulse of 1 along the normal and the tangent,
-  // unless it is known what these move, then to that of the impact. What opens by itself has none, though friction could hold it
+  // Solves an impact. What is jointed to its bodies answers at once, to an impulse of 1 along the normal and along the tangent;
+  // what it answers to that of the impact is a sum of both. What opens by itself has none, though friction could hold it
   // (Painleve's paradox). Returns by how much (m/s) it changed a speed.
-  KFN real solve_impact(Bodies& bodies, Joints& joints, const Soft& soft, Pair& pair, Contact& c, const Impact& impact,
-                        Response& moves) {
-    Vec2 tangent = c.normal.right(), added = {real(0), real(0)}, v = pair.relative(impact.arms.a, impact.arms.b);
+  KFN real solve_impact(Bodies& bodies, Joints& joints, Pair& pair, Contact& c, const Impact& impact) {
+    Vec2 tangent = c.normal.right(), v = pair.relative(impact.arms.a, impact.arms.b);
     Vec2 speeds = {c.normal.dot(v) + impact.bias, tangent.dot(v) - impact.along};
     if (c.impulse_normal == real(0) && c.impulse_tangent == real(0) && speeds.x >= real(0)) return real(0);
-    for (int stage = moves.is_known ? 2 : 0; stage < 3; ++stage) {
-      Vec2 push = stage == 0 ? c.normal : tangent;
-      if (stage == 2) {
-        Vec2 total = stick_or_slide(c, speeds, moves);
-        added = {total.x - c.impulse_normal, total.y - c.impulse_tangent};
-        c.impulse_normal = total.x;
-        c.impulse_tangent = total.y;
-        push = (c.normal * added.x).plus(tangent, added.y);
-      }
-      Pair change = pair.at_rest();
-      change.apply_impulse(impact.arms.a, impact.arms.b, push);
-      if (impact.is_jointed) {
-        bool is_new = stage == 0 && impact.placed && !JointSystem::has_all(impact.placed, impact.jointed);
-        joints.add_answer(bodies, impact.jointed, soft, change, {is_new, stage == 2}, active);
-        if (is_new) JointSystem::add_all(impact.placed, impact.jointed);
-      }
-      Vec2 speed = change.relative(impact.arms.a, impact.arms.b);
-      if (stage == 0) moves = {c.normal.dot(speed), tangent.dot(speed), real(0), true};
-      if (stage == 1) moves.tt = tangent.dot(speed);
-      if (stage == 2) pair.add(change);
+    Pair by_normal = pair.at_rest(), by_tangent = pair.at_rest();
+    by_normal.apply_impulse(impact.arms.a, impact.arms.b, c.normal);
+    by_tangent.apply_impulse(impact.arms.a, impact.arms.b, tangent);
+    if (impact.is_jointed) {
+      bool is_new = impact.placed && !JointSystem::has_all(impact.placed, impact.jointed);
+      joints.add_answers(bodies, impact.jointed, by_normal, by_tangent, is_new);
+      if (is_new) JointSystem::add_all(impact.placed, impact.jointed);
     }
+    Vec2 along_normal = by_normal.relative(impact.arms.a, impact.arms.b), along_tangent = by_tangent.relative(impact.arms.a, impact.arms.b);
+    Response moves = {c.normal.dot(along_normal), tangent.dot(along_normal), tangent.dot(along_tangent)};
+    Vec2 total = stick_or_slide(c, speeds, moves), added = {total.x - c.impulse_normal, total.y - c.impulse_tangent};
+    c.impulse_normal = total.x;
+    c.impulse_tangent = total.y;
+    if (impact.is_jointed) joints.exert_answers(bodies, impact.jointed, added, active);
+    pair.add(by_normal, added.x);
+    pair.add(by_tangent, added.y);
     return Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
   }
 

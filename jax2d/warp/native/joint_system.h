@@ -265,11 +265,14 @@ struct JointSystem {
   ARRAY(Block, above, NUM_JOINTS * (NUM_JOINTS - 1) / 2 + 1);  // block of a joint's row and a later one's column
   ARRAY(Vec3, bias, NUM_JOINTS + 1);  // speeds at which what is held goes wrong where its rows' speeds are zero
   ARRAY(Vec3, x, NUM_JOINTS + 1);  // right side, then solution
+  ARRAY(Vec3, y, NUM_JOINTS + 1);  // a second one
   ARRAY(AxialRow, axial, HAS_AXES ? NUM_JOINTS + 1 : 1);  // of joints with a motor or limits
   int count;
 
-  KFN static int block(int k, int i) { return k * (2 * NUM_JOINTS - k - 1) / 2 + (i - k - 1); }
   KFN unsigned int* after_of(int k) const { return after + k * JOINT_WORDS; }
+  // Blocks of a joint's row stand one after another: where its first one is, and that with the column of a later joint.
+  KFN static int first_block(int k) { return k * (2 * NUM_JOINTS - k - 1) / 2; }
+  KFN int block(int k, int i) const { return first_block(k) + Bits::below(after_of(k), JOINT_WORDS, i); }
   KFN static bool has(const unsigned int* joints, int k) { return Bits::has(joints, JOINT_WORDS, k); }
   KFN static void add(unsigned int* joints, int k) { Bits::add(joints, JOINT_WORDS, k); }
   KFN static void remove(unsigned int* joints, int k) { Bits::remove(joints, JOINT_WORDS, k); }
@@ -330,35 +333,44 @@ struct JointSystem {
     return best;
   }
 
-  // Eliminates the joints of `which`, whole articulations: right sides, and their matrix if it is new.
-  KFN void eliminate(const unsigned int* which, bool is_new) {
+  // Eliminates the joints of `which`, whole articulations: right sides, one or `both`, and their matrix if it is new.
+  KFN void eliminate(const unsigned int* which, bool is_new, bool both) {
     for (EachJoint k = EachJoint::of(which); k.next();) {
       Symmetric3 factor = is_new ? diagonal[k.joint].factored() : diagonal[k.joint];
       if (is_new) diagonal[k.joint] = factor;
-      Vec3 own = factor.solve(x[k.joint]);
+      Vec3 own = factor.solve(x[k.joint]), second = both ? factor.solve(y[k.joint]) : own;
       x[k.joint] = own;
-      for (EachJoint i = EachJoint::of(after_of(k.joint)); i.next();) {
-        Block of_i = above[block(k.joint, i.joint)];
+      if (both) y[k.joint] = second;
+      int column = first_block(k.joint);
+      for (EachJoint i = EachJoint::of(after_of(k.joint)); i.next(); ++column) {
+        Block of_i = above[column];
         x[i.joint] = x[i.joint].plus(of_i.transposed_times(own), real(-1));
+        if (both) y[i.joint] = y[i.joint].plus(of_i.transposed_times(second), real(-1));
         if (!is_new) continue;
         Block solved = of_i.solved(factor), square = Block::of(diagonal[i.joint]).minus(solved, of_i);
         diagonal[i.joint] = {square.x.x, square.x.y, square.x.z, square.y.y, square.y.z, square.z.z};
+        int next = column;
         for (EachJoint j = i; j.next();) {
           Block& pair = above[block(i.joint, j.joint)];
-          pair = pair.minus(solved, above[block(k.joint, j.joint)]);
+          pair = pair.minus(solved, above[++next]);
         }
       }
     }
   }
 
   // Solution for joint k, when those that come later have theirs.
-  KFN Vec3 substitute(int k) {
+  KFN Vec3 substitute(int k, bool both) {
     if (last[k] == k) return x[k];
-    Vec3 right = {real(0), real(0), real(0)};
-    for (EachJoint i = EachJoint::of(after_of(k)); i.next();)
-      right = right.plus(above[block(k, i.joint)].times(x[i.joint]), real(-1));
+    Vec3 right = {real(0), real(0), real(0)}, second = right;
+    int column = first_block(k);
+    for (EachJoint i = EachJoint::of(after_of(k)); i.next(); ++column) {
+      Block of_i = above[column];
+      right = right.plus(of_i.times(x[i.joint]), real(-1));
+      if (both) second = second.plus(of_i.times(y[i.joint]), real(-1));
+    }
     Vec3 solution = x[k].plus(diagonal[k].solve(right), real(1));
     x[k] = solution;
+    if (both) y[k] = y[k].plus(diagonal[k].solve(second), real(1));
     return solution;
   }
 
@@ -368,10 +380,11 @@ struct JointSystem {
     for (int i = k; i < count; ++i) {
       Vec3 own = diagonal[i].solve(x[i]);
       x[i] = own;
-      for (EachJoint j = EachJoint::of(after_of(i)); j.next();)
-        x[j.joint] = x[j.joint].plus(above[block(i, j.joint)].transposed_times(own), real(-1));
+      int column = first_block(i);
+      for (EachJoint j = EachJoint::of(after_of(i)); j.next(); ++column)
+        x[j.joint] = x[j.joint].plus(above[column].transposed_times(own), real(-1));
     }
-    for (int i = count - 1; i >= k; --i) substitute(i);
+    for (int i = count - 1; i >= k; --i) substitute(i, false);
     return Math::inverse_or_zero(x[k].z);
   }
 };

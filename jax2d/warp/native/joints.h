@@ -217,7 +217,7 @@ struct Joints {
     for (int attempt = HAS_BRAKES_AND_SERVOS && is_first && use_bias ? -1 : 0;; ++attempt) {
       if (HAS_AXES && is_new && attempt >= 0) push_unheld(bodies, which, active);
       assemble(bodies, which, use_bias, is_new);
-      system.eliminate(which, is_new);
+      system.eliminate(which, is_new, false);
       if (attempt < 0) {
         aim_servos(bodies, which, soft);
         continue;
@@ -230,7 +230,7 @@ struct Joints {
 
   KFN void push(Bodies& bodies, const unsigned int* which, ActiveSet& active) {
     for (int k = count - 1; k >= 0; --k)
-      if (JointSystem::has(which, k)) exert(bodies, k, -system.substitute(k), active);
+      if (JointSystem::has(which, k)) exert(bodies, k, -system.substitute(k, false), active);
   }
 
   KFN void exert(Bodies& bodies, int k, Vec3 impulse, ActiveSet& active) {
@@ -255,34 +255,46 @@ struct Joints {
 
   KFN unsigned int* members_of(int last) const { return members + last * JOINT_WORDS; }
 
-  // Adds to a change of the velocities of two bodies what their joints answer, so that rows keep their speeds. `is_new`: as
-  // the bodies stand now. `acts`: all that is jointed gets its answer.
-  struct Answer {
-    bool is_new, acts;
-  };
-  KFN void add_answer(Bodies& bodies, const unsigned int* which, const Soft& soft, Pair& change, Answer answer,
-                      ActiveSet& active) {
-    if (answer.is_new) {
+  // Adds to changes of the velocities of two bodies by two impulses what their joints answer to each, so that rows keep their
+  // speeds. `is_new`: with the system of where bodies stand now.
+  KFN void add_answers(const Bodies& bodies, const unsigned int* which, Pair& one, Pair& other, bool is_new) {
+    if (is_new) {
       for (EachJoint k = EachJoint::of(which); k.next();) place(bodies, k.joint);
       assemble(bodies, which, false, true);
     }
     for (EachJoint k = EachJoint::of(which); k.next();) {
-      bool is_theirs = has_one_of(list[k.joint], change);
-      system.x[k.joint] =
-          is_theirs ? rows_of(k.joint).speeds(seen_by(bodies, k.joint, change)) : Vec3{real(0), real(0), real(0)};
+      bool is_theirs = has_one_of(list[k.joint], one);
+      JointRows rows = rows_of(k.joint);
+      Vec3 none = {real(0), real(0), real(0)};
+      system.x[k.joint] = is_theirs ? rows.speeds(seen_by(bodies, k.joint, one)) : none;
+      system.y[k.joint] = is_theirs ? rows.speeds(seen_by(bodies, k.joint, other)) : none;
     }
-    system.eliminate(which, answer.is_new);
-    Pair none = change.at_rest();
+    system.eliminate(which, is_new, true);
+    Pair rest = one.at_rest();
     for (int k = count - 1; k >= 0; --k) {
       if (!JointSystem::has(which, k)) continue;
-      Vec3 impulse = -system.substitute(k);
-      if (answer.acts) exert(bodies, k, impulse, active);
-      if (!has_one_of(list[k], none)) continue;
-      Pair pair = seen_by(bodies, k, none);
-      rows_of(k).push(pair, impulse);
-      if (pair.a == change.a || pair.a == change.b) change.add_to(pair.a, pair.velocity_a, pair.omega_a);
-      if (pair.b == change.a || pair.b == change.b) change.add_to(pair.b, pair.velocity_b, pair.omega_b);
+      system.substitute(k, true);
+      if (!has_one_of(list[k], rest)) continue;
+      JointRows rows = rows_of(k);
+      Pair by_one = seen_by(bodies, k, rest), by_other = by_one;
+      rows.push(by_one, -system.x[k]);
+      rows.push(by_other, -system.y[k]);
+      add_shared(one, by_one);
+      add_shared(other, by_other);
     }
+  }
+
+  // Gives joints what they answer to `times.x` of the one and `times.y` of the other impulse of `add_answers`.
+  KFN void exert_answers(Bodies& bodies, const unsigned int* which, Vec2 times, ActiveSet& active) {
+    Vec3 none = {real(0), real(0), real(0)};
+    for (int k = count - 1; k >= 0; --k)
+      if (JointSystem::has(which, k)) exert(bodies, k, none.plus(system.x[k], -times.x).plus(system.y[k], -times.y), active);
+  }
+
+  // Adds to a change what another one is of bodies that both have.
+  KFN static void add_shared(Pair& change, const Pair& other) {
+    if (other.a == change.a || other.a == change.b) change.add_to(other.a, other.velocity_a, other.omega_a);
+    if (other.b == change.a || other.b == change.b) change.add_to(other.b, other.velocity_b, other.omega_b);
   }
 
   KFN static bool has_one_of(const Joint& joint, const Pair& two) {
@@ -383,14 +395,11 @@ struct Joints {
       if (HAS_AXES && joint.has_axial_row()) wrong.z = rows.third * (rows.axial_speed(pair) - system.axial[k.joint].speed());
       if (use_bias) wrong = wrong.plus(rows.yielding(pair, joint.held_impulse()), real(1));
       system.x[k.joint] = wrong;
-      if (is_new) system.diagonal[k.joint] = rows.held(pair);
-    }
-    if (!is_new) return;
-    for (EachJoint k = EachJoint::of(which); k.next();) {
-      JointRows rows = rows_of(k.joint);
-      for (EachJoint i = EachJoint::of(system.after_of(k.joint)); i.next();)
-        system.above[JointSystem::block(k.joint, i.joint)] =
-            coupling(bodies, list[k.joint], rows, list[i.joint], rows_of(i.joint));
+      if (!is_new) continue;
+      system.diagonal[k.joint] = rows.held(pair);
+      int column = JointSystem::first_block(k.joint);
+      for (EachJoint i = EachJoint::of(system.after_of(k.joint)); i.next(); ++column)
+        system.above[column] = coupling(bodies, joint, rows, list[i.joint], rows_of(i.joint));
     }
   }
 

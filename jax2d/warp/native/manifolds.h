@@ -21,6 +21,18 @@ struct Manifold {
   ContactPoint points[2];
 };
 
+// Four corners of a polygon, the last again where it has three, in registers: each worlds of a warp look at their own pair,
+// so that a load from local memory is as many as there are shapes.
+struct FourCorners {
+  Vec2 first, second, third, fourth;
+
+  // Least distance from a plane with this normal through `origin`.
+  KFN real nearest(Vec2 n, Vec2 origin) const {
+    return Math::min(Math::min(n.dot(first - origin), n.dot(second - origin)),
+                     Math::min(n.dot(third - origin), n.dot(fourth - origin)));
+  }
+};
+
 // World-oriented corners and outward edge normals of all polygons, with bounds, for one step.
 struct Geometry {
   ARRAY(Vec2, corner, NUM_CORNERS);  // relative to the centre of mass
@@ -253,18 +265,28 @@ struct Geometry {
   KFN real max_separation(int one, Vec2 one_at, int other, Vec2 other_at, int& edge) const {
     real best = -FAR_DISTANCE;
     edge = 0;
+    FourCorners theirs = four_corners(other);
     for (int k = 0; k < corners[one]; ++k) {
-      Vec2 n = normal[one * MAX_VERTICES + k];
-      Vec2 origin = corner[one * MAX_VERTICES + k] + one_at - other_at;
-      real nearest = FAR_DISTANCE;
-      for (int j = 0; j < corners[other]; ++j)
-        nearest = Math::min(nearest, n.dot(corner[other * MAX_VERTICES + j] - origin));
+      real nearest = nearest_corner(other, theirs, normal[one * MAX_VERTICES + k], corner[one * MAX_VERTICES + k] + one_at - other_at);
       if (nearest > best) {
         best = nearest;
         edge = k;
       }
     }
     return best;
+  }
+
+  KFN FourCorners four_corners(int polygon) const {
+    const Vec2* v = corner + polygon * MAX_VERTICES;
+    return {v[0], v[1], v[2], v[MAX_VERTICES > 3 && corners[polygon] > 3 ? 3 : 2]};
+  }
+
+  // Least distance of the corners of a polygon, of which four are at hand, from a plane through `origin`.
+  KFN real nearest_corner(int polygon, const FourCorners& four, Vec2 n, Vec2 origin) const {
+    real nearest = four.nearest(n, origin);
+    for (int j = 4; MAX_VERTICES > 4 && j < corners[polygon]; ++j)
+      nearest = Math::min(nearest, n.dot(corner[polygon * MAX_VERTICES + j] - origin));
+    return nearest;
   }
 
   // Which face of two polygons apart keeps them so while they move on, see `ImpactPlane`.
@@ -295,12 +317,10 @@ struct Geometry {
   // One of two polygons; motion: of the other against it. Goes on from what was found for the first.
   KFN void impact_face(int one, Vec2 one_at, int other, Vec2 other_at, Vec2 motion, bool flipped, real& best, real& last,
                        ImpactFace& inert, ImpactFace& met) const {
+    FourCorners theirs = four_corners(other);
     for (int k = 0; k < corners[one]; ++k) {
       Vec2 n = normal[one * MAX_VERTICES + k];
-      Vec2 origin = corner[one * MAX_VERTICES + k] + one_at - other_at;
-      real separation = FAR_DISTANCE;
-      for (int j = 0; j < corners[other]; ++j)
-        separation = Math::min(separation, n.dot(corner[other * MAX_VERTICES + j] - origin));
+      real separation = nearest_corner(other, theirs, n, corner[one * MAX_VERTICES + k] + one_at - other_at);
       if (separation < -GRAZING_DISTANCE) continue;
       // A thin shape is met in full, not passed over.
       if (separation < real(0) && separation < -THIN_SHARE * Math::min(span(one, n).width(), span(other, n).width())) continue;

@@ -7,8 +7,10 @@ struct Pairs {
   Sweep sweep;                                                  // in kernels of many shapes, else:
   ARRAY(unsigned int, rows, SWEEP ? 1 : NUM_SHAPES * TOUCH_WORDS + 1);  // row a, bit of slot b: near; only later slots
 
-  // `reach` is the distance at which a contact is prepared.
-  KFN void find(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, bool ahead) {
+  // Those of bodies of `found`, with each other and with what is fixed. `reach` is the distance at which a contact is
+  // prepared.
+  KFN void find(const Bodies& bodies, const Geometry& geometry, const IntColumn& ints, real reach, bool ahead,
+                const unsigned int* found) {
     if (SWEEP) sweep.find(bodies, geometry, reach, ahead);
     for (int a = 0; a < NUM_SHAPES; ++a) {
       for (int word = first_word(a); word < TOUCH_WORDS; word = next_word(a, word)) {
@@ -19,6 +21,8 @@ struct Pairs {
           int slot_b = word * 32 + Math::lowest_bit(partners);
           if (!Slot::in_use(slot_b)) continue;
           int b = Slot::shape(slot_b);
+          bool of_a = Bodies::has(found, a), of_b = Bodies::has(found, b);
+          if ((!of_a && (!of_b || bodies.moves(a))) || (!of_b && bodies.moves(b))) continue;
           Vec2 d = bodies.position[b] - bodies.position[a], motion = bodies.velocity(b) - bodies.velocity(a);
           // At least its length, without a root: Contacts::find asks again with that, of few pairs.
           real speed = Math::abs(motion.x) + Math::abs(motion.y);

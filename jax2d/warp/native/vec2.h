@@ -139,6 +139,19 @@ struct Bits {
   static KFN bool has(const unsigned int* set, int words, int i) {
     return (set[word_of(i, words)] >> (i % 32) & 1u) != 0u;
   }
+  // How many are in it below i.
+  static KFN int below(const unsigned int* set, int words, int i) {
+    int sum = count(set[word_of(i, words)] & ((1u << (i % 32)) - 1u));
+    for (int word = 0; word < word_of(i, words); ++word) sum += count(set[word]);
+    return sum;
+  }
+  static KFN int count(unsigned int word) {
+#if defined(__CUDA_ARCH__)
+    return __popc(word);
+#else
+    return __builtin_popcount(word);
+#endif
+  }
   static KFN void clear(unsigned int* set, int words) {
     for (int word = 0; word < words; ++word) set[word] = 0u;
   }
