@@ -13,8 +13,8 @@ from jax2d.settings import Settings, Solver
 # solving uses: that is taken from the cache, of which few worlds make better use, and so do kernels of many shapes.
 MANY_WORLDS, SHARED_RECORD = 65536, 8
 
-# From how many worlds on the compiler keeps to registers for so many blocks of a multiprocessor. With eight of them 65,536
-# worlds run at once; more take turns anyway, and then have more registers and more of the cache.
+# From how many worlds on the compiler keeps to registers for so many blocks of a multiprocessor. With eight of them
+# 65,536 worlds run at once; more take turns anyway, and then have more registers and more of the cache.
 MIN_BLOCKS = ((131072, 6), (65536, 8))
 
 # Up to how many worlds a warp has so few of them, a lane each: it takes as long as the longest of its worlds. More

@@ -360,8 +360,8 @@ struct Contacts {
   KFN void solve_soft(Bodies& bodies, Joints& joints, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
-    unsigned int placed[JOINT_WORDS];  // joints whose system is that of where bodies stand: without bias they have moved
-    JointSystem::clear(placed);
+    unsigned int ready[JOINT_WORDS];  // joints whose system is that of impacts where bodies stand
+    JointSystem::clear(ready);
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (active.leaves_out(c.a, c.b)) continue;
@@ -394,8 +394,7 @@ struct Contacts {
       if (c.is_impact && round == 0) {
         unsigned int jointed[JOINT_WORDS];
         bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
-        unsigned int* moved_since = use_bias ? nullptr : placed;
-        real change = solve_impact(bodies, joints, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, jointed, moved_since});
+        real change = solve_impact(bodies, joints, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, !use_bias, jointed, ready});
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         pair.write_back(bodies);
@@ -442,14 +441,14 @@ struct Contacts {
     real nn, nt, tt;
   };
 
-  // Where an impact acts, the speeds that are wanted, and joints of the articulations of its bodies. `placed`: of those whose
-  // bodies have moved since they were solved, the ones whose system is new again; null: none have moved.
+  // Where an impact acts, the speeds that are wanted, and joints of the articulations of its bodies, which `have_moved` since
+  // they were solved. `ready`: those whose system is that of impacts.
   struct Impact {
     Arms arms;
     real bias, along;
-    bool is_jointed;
+    bool is_jointed, have_moved;
     const unsigned int* jointed;
-    unsigned int* placed;
+    unsigned int* ready;
   };
 
   // Solves an impact. What is jointed to its bodies answers at once, to an impulse of 1 along the normal and along the tangent;
@@ -463,9 +462,10 @@ struct Contacts {
     by_normal.apply_impulse(impact.arms.a, impact.arms.b, c.normal);
     by_tangent.apply_impulse(impact.arms.a, impact.arms.b, tangent);
     if (impact.is_jointed) {
-      bool is_new = impact.placed && !JointSystem::has_all(impact.placed, impact.jointed);
-      joints.add_answers(bodies, impact.jointed, by_normal, by_tangent, is_new);
-      if (is_new) JointSystem::add_all(impact.placed, impact.jointed);
+      bool is_ready = JointSystem::has_all(impact.ready, impact.jointed);
+      joints.add_answers(bodies, impact.jointed, by_normal, by_tangent,
+                         !is_ready && (impact.have_moved || joints.hold_axes(impact.jointed)));
+      JointSystem::add_all(impact.ready, impact.jointed);
     }
     Vec2 along_normal = by_normal.relative(impact.arms.a, impact.arms.b), along_tangent = by_tangent.relative(impact.arms.a, impact.arms.b);
     Response moves = {c.normal.dot(along_normal), tangent.dot(along_normal), tangent.dot(along_tangent)};

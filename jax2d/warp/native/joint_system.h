@@ -282,6 +282,11 @@ struct JointSystem {
     for (int word = 0; word < JOINT_WORDS; ++word) missing |= others[word] & ~joints[word];
     return missing == 0u;
   }
+  KFN static bool has_any(const unsigned int* joints) {
+    unsigned int all = 0u;
+    for (int word = 0; word < JOINT_WORDS; ++word) all |= joints[word];
+    return all != 0u;
+  }
   KFN static void add_all(unsigned int* joints, const unsigned int* others) {
     for (int word = 0; word < JOINT_WORDS; ++word) joints[word] |= others[word];
   }

@@ -11,6 +11,7 @@ struct Joints {
   ARRAY(Drive, drives, HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1);
   ARRAY(unsigned int, included, JOINT_WORDS);  // a bit a joint that a pass is about
   ARRAY(unsigned int, repeated, JOINT_WORDS);  // the same: for which it is a repeated one, of an impact
+  ARRAY(unsigned int, released, JOINT_WORDS);  // the same: whose system is that of an impact, with no axis held
   ARRAY(int, articulation, NUM_JOINTS > 0 ? NUM_SHAPES : 1);  // of each body: its last joint, -1: none
   ARRAY(unsigned int, members, (NUM_JOINTS + 1) * JOINT_WORDS);  // a row an articulation, at its last joint: a bit a joint
   JointSystem system;
@@ -33,6 +34,7 @@ struct Joints {
       system.order[count++] = j;
     }
     system.count = count;
+    JointSystem::clear(released);
     if (!SOFT_STEP) return;
     for (int k = 0; k < count; ++k) system.clear(system.after_of(k));
     for (int k = 0; k < count; ++k)
@@ -157,10 +159,12 @@ struct Joints {
     return joint.is_driven() && Math::abs(needed) < joint.max_motor_impulse ? AxialRow::MOTOR : AxialRow::NOTHING;
   }
 
+  KFN bool holds_axis(int k) const { return list[k].has_axial_row() && system.axial[k].holds != AxialRow::NOTHING; }
+
   KFN JointRows rows_of(int k) const {
     const Joint& joint = list[k];
     real none = real(0), one = real(1), is_weld = joint.is_fixed() ? one : none, third = is_weld;
-    if (HAS_AXES && joint.has_axial_row()) third = system.axial[k].holds != AxialRow::NOTHING ? one : none;
+    if (HAS_AXES && joint.has_axial_row()) third = holds_axis(k) && !JointSystem::has(released, k) ? one : none;
     if (joint.is_prismatic()) return JointRows::of_slider(joint.common_a, joint.common_b, axis[k], third);
     return JointRows::of(joint.common_a, joint.common_b, third, is_weld);
   }
@@ -204,13 +208,14 @@ struct Joints {
     if (is_first)
       for (int pass = 0; pass < (use_bias ? SPRING_PASSES : 1); ++pass) springs.solve(bodies, soft, use_bias, use_bias, active);
     if (count == 0) return;
+    bool is_new = is_first || JointSystem::has_any(released);
+    JointSystem::clear(released);
     if (is_first) {
       find_included(active);
       begin(bodies, soft, use_bias);
     }
     unsigned int which[JOINT_WORDS];  // that an attempt is about
     for (int word = 0; word < JOINT_WORDS; ++word) which[word] = included[word];
-    bool is_new = is_first;
     // By velocities that no motor of this round has changed yet: a strong one spins a light body far beyond what is solved.
     for (EachJoint k = EachJoint::of(which); use_bias && k.next();)
       system.bias[k.joint] = bias_of(bodies, Pair::of(bodies, list[k.joint].a, list[k.joint].b), k.joint, soft);
@@ -255,11 +260,20 @@ struct Joints {
 
   KFN unsigned int* members_of(int last) const { return members + last * JOINT_WORDS; }
 
+  // Whether a motor or limit of theirs holds.
+  KFN bool hold_axes(const unsigned int* which) const {
+    bool any = false;
+    for (EachJoint k = EachJoint::of(which); HAS_AXES && k.next();) any |= holds_axis(k.joint);
+    return any;
+  }
+
   // Adds to changes of the velocities of two bodies by two impulses what their joints answer to each, so that rows keep their
-  // speeds. `is_new`: with the system of where bodies stand now.
+  // speeds. Motors and limits do not answer: a motor gives nothing in an instant, and a limit does not pull. The next round
+  // has what they make of it. `is_new`: with the system of that, where bodies stand now.
   KFN void add_answers(const Bodies& bodies, const unsigned int* which, Pair& one, Pair& other, bool is_new) {
     if (is_new) {
       for (EachJoint k = EachJoint::of(which); k.next();) place(bodies, k.joint);
+      JointSystem::add_all(released, which);
       assemble(bodies, which, false, true);
     }
     for (EachJoint k = EachJoint::of(which); k.next();) {
