@@ -192,8 +192,8 @@ LINK_MASS, BOX_MASS = 0.1, 0.3  # kg
 
 
 def pivoted_link(axis: str) -> BuiltWorld:
-    """A link without gravity that meets the corner of a box: it turns, driven at the speed that it has or by nothing; or
-    it stands at a limit, and the box comes from the limit's side."""
+    """A link without gravity that meets the corner of a box: it turns, driven at the speed that it has or by nothing;
+    or it stands at a limit, and the box comes from the limit's side."""
     b = SceneBuilder(CAPACITY, gravity=(0, 0))
     pivot = b.add_box(width=0.02, height=0.02, fixed=True)
     spin, speed = (0.0, 3.0) if axis == "limit" else (6.0, 0.0)
@@ -218,8 +218,8 @@ def pivoted_link(axis: str) -> BuiltWorld:
 @pytest.mark.parametrize("backend", ["warp", "xla"])
 @pytest.mark.parametrize("name", ["standard", "fine", "draft"])
 def test_motor_gives_nothing_in_a_blow_and_a_limit_does_not_pull(name: str, backend: str, axis: str) -> None:
-    """The box leaves with what momentum about the pivot says. (In the soak a driven link of 70 g threw a box of 340 g at
-    the speed of its end, since its motor gave all that kept its speed.)"""
+    """The box leaves with what momentum about the pivot says. (In the soak a driven link of 70 g threw a box of 340 g
+    at the speed of its end, since its motor gave all that kept its speed.)"""
     inertia = LINK_MASS * ((LINK**2 + THICKNESS**2) / 12 + (LINK / 2) ** 2)
     of_box = BOX_MASS * REACH**2
     momentum = of_box * 3.0 / REACH if axis == "limit" else inertia * 6.0
