@@ -431,15 +431,16 @@ class Answers(NamedTuple):
 
 
 def answers(bodies: Bodies, joints: Joints, placed: PlacedJoints, pushed: jax.Array) -> Answers:
-    """Answers of the joints of bodies of `pushed` [n] bool, no axis held; zeros in a world without such joints."""
+    """Answers of the joints of bodies of `pushed` [n] bool, motors left out; zeros in a world without such."""
     system, dtype, n = placed.system, bodies.angle.dtype, bodies.angle.shape[0]
     none = Answers(jnp.zeros((system.rows.shape[0], 3 * n), dtype), jnp.zeros((3 * n, 3 * n), dtype))
     if joints.is_held.shape[0] == 0:
         return none
     is_needed = jnp.any(has_one_of(joints.pair, pushed))
 
-    # A motor gives nothing in an instant, and a limit does not pull: the next round has what they make of it.
-    released = joints.axes._replace(holds=jnp.full_like(joints.axes.holds, axial_rows.NOTHING))
+    # A motor gives nothing in an instant: with bias the second round has what it makes of it, else the next sub-step.
+    holds = joints.axes.holds
+    released = joints.axes._replace(holds=jnp.where(holds == axial_rows.MOTOR, axial_rows.NOTHING, holds))
 
     def solved() -> Answers:
         impulses = -joint_system.solve(system, held_rows(joints, released), system.rows)

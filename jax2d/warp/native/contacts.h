@@ -360,7 +360,7 @@ struct Contacts {
   KFN void solve_soft(Bodies& bodies, Joints& joints, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
-    unsigned int ready[JOINT_WORDS];  // joints whose system is that of impacts where bodies stand
+    unsigned int ready[JOINT_WORDS];  // joints whose system does for impacts, where bodies stand and without motors
     JointSystem::clear(ready);
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
@@ -442,7 +442,7 @@ struct Contacts {
   };
 
   // Where an impact acts, the speeds that are wanted, and joints of the articulations of its bodies, which `have_moved` since
-  // they were solved. `ready`: those whose system is that of impacts.
+  // they were solved. `ready`: those whose system does for impacts.
   struct Impact {
     Arms arms;
     real bias, along;
@@ -464,7 +464,7 @@ struct Contacts {
     if (impact.is_jointed) {
       bool is_ready = JointSystem::has_all(impact.ready, impact.jointed);
       joints.add_answers(bodies, impact.jointed, by_normal, by_tangent,
-                         !is_ready && (impact.have_moved || joints.hold_axes(impact.jointed)));
+                         !is_ready && (impact.have_moved || joints.hold_by_motors(impact.jointed)));
       JointSystem::add_all(impact.ready, impact.jointed);
     }
     Vec2 along_normal = by_normal.relative(impact.arms.a, impact.arms.b), along_tangent = by_tangent.relative(impact.arms.a, impact.arms.b);

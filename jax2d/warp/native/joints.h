@@ -11,7 +11,7 @@ struct Joints {
   ARRAY(Drive, drives, HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1);
   ARRAY(unsigned int, included, JOINT_WORDS);  // a bit a joint that a pass is about
   ARRAY(unsigned int, repeated, JOINT_WORDS);  // the same: for which it is a repeated one, of an impact
-  ARRAY(unsigned int, released, JOINT_WORDS);  // the same: whose system is that of an impact, with no axis held
+  ARRAY(unsigned int, released, JOINT_WORDS);  // the same: held by a motor, which their system of an impact leaves out
   ARRAY(int, articulation, NUM_JOINTS > 0 ? NUM_SHAPES : 1);  // of each body: its last joint, -1: none
   ARRAY(unsigned int, members, (NUM_JOINTS + 1) * JOINT_WORDS);  // a row an articulation, at its last joint: a bit a joint
   JointSystem system;
@@ -260,20 +260,24 @@ struct Joints {
 
   KFN unsigned int* members_of(int last) const { return members + last * JOINT_WORDS; }
 
-  // Whether a motor or limit of theirs holds.
-  KFN bool hold_axes(const unsigned int* which) const {
+  KFN bool is_held_by_motor(int k) const { return HAS_MOTORS && holds_axis(k) && system.axial[k].holds == AxialRow::MOTOR; }
+
+  // Whether a motor of theirs holds.
+  KFN bool hold_by_motors(const unsigned int* which) const {
     bool any = false;
-    for (EachJoint k = EachJoint::of(which); HAS_AXES && k.next();) any |= holds_axis(k.joint);
+    for (EachJoint k = EachJoint::of(which); HAS_MOTORS && k.next();) any |= is_held_by_motor(k.joint);
     return any;
   }
 
   // Adds to changes of the velocities of two bodies by two impulses what their joints answer to each, so that rows keep their
-  // speeds. Motors and limits do not answer: a motor gives nothing in an instant, and a limit does not pull. The next round
-  // has what they make of it. `is_new`: with the system of that, where bodies stand now.
+  // speeds. Motors do not answer, since they give nothing in an instant: with bias the second round has what they make of it,
+  // else the next sub-step. `is_new`: with the system of that, where bodies stand now.
   KFN void add_answers(const Bodies& bodies, const unsigned int* which, Pair& one, Pair& other, bool is_new) {
     if (is_new) {
-      for (EachJoint k = EachJoint::of(which); k.next();) place(bodies, k.joint);
-      JointSystem::add_all(released, which);
+      for (EachJoint k = EachJoint::of(which); k.next();) {
+        place(bodies, k.joint);
+        if (is_held_by_motor(k.joint)) JointSystem::add(released, k.joint);
+      }
       assemble(bodies, which, false, true);
     }
     for (EachJoint k = EachJoint::of(which); k.next();) {

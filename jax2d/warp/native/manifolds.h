@@ -21,8 +21,8 @@ struct Manifold {
   ContactPoint points[2];
 };
 
-// Four corners of a polygon, the last again where it has three, in registers: each worlds of a warp look at their own pair,
-// so that a load from local memory is as many as there are shapes.
+// Four corners of a polygon, the last again where it has three, in registers: each world of a warp looks at its own pair, so
+// that a load from local memory is as many as there are shapes.
 struct FourCorners {
   Vec2 first, second, third, fourth;
 
