@@ -41,7 +41,7 @@ CONTEXT_THREAD_BYTES = 1024
 # kernels of nine capacities around S, M and L (to 2 %; tests/runtime/test_gpu_memory.py), raised by a margin for later
 # kernels.
 THREAD_NUMBERS = 98
-NUMBERS_OF = {"polygons": 49, "circles": 33, "joints": 87, "thrusters": 4, "contact_slots": 22}
+NUMBERS_OF = {"polygons": 49, "circles": 33, "joints": 87, "thrusters": 4, "contact_slots": 20}
 THREAD_MARGIN = 1.15
 
 # Scoring: what is alive at once for a level, in numbers of 4 bytes. M with the paper's network: 71 kB, and 4,096 levels
@@ -188,7 +188,7 @@ def local_memory_bytes(thread_bytes: int, gpu: Gpu) -> int:
 def thread_bytes(capacity: Capacity) -> int:
     """Upper estimate of the local memory of a thread of the full engine of this capacity, bytes.
 
-    4 x 1.15 x (98 + 49 polygons + 33 circles + 87 joints + 4 thrusters + 22 contact slots)
+    4 x 1.15 x (98 + 49 polygons + 33 circles + 87 joints + 4 thrusters + 20 contact slots)
     """
     numbers = THREAD_NUMBERS + sum(number * getattr(capacity, name) for name, number in NUMBERS_OF.items())
     return round(4 * THREAD_MARGIN * numbers)
