@@ -53,11 +53,7 @@ struct Bodies {
   KFN static void copy(unsigned int* to, const unsigned int* from) {
     for (int word = 0; word < SHAPE_WORDS; ++word) to[word] = from[word];
   }
-  KFN static bool any(const unsigned int* shapes) {
-    unsigned int all = 0u;
-    for (int word = 0; word < SHAPE_WORDS; ++word) all |= shapes[word];
-    return all != 0u;
-  }
+  KFN static bool any(const unsigned int* shapes) { return Bits::any(shapes, SHAPE_WORDS); }
   KFN static void add(unsigned int* shapes, int i) { Bits::add(shapes, SHAPE_WORDS, i); }
   KFN static void remove(unsigned int* shapes, int i) { Bits::remove(shapes, SHAPE_WORDS, i); }
   KFN static bool has(const unsigned int* shapes, int i) { return Bits::has(shapes, SHAPE_WORDS, i); }

@@ -282,11 +282,7 @@ struct JointSystem {
     for (int word = 0; word < JOINT_WORDS; ++word) missing |= others[word] & ~joints[word];
     return missing == 0u;
   }
-  KFN static bool has_any(const unsigned int* joints) {
-    unsigned int all = 0u;
-    for (int word = 0; word < JOINT_WORDS; ++word) all |= joints[word];
-    return all != 0u;
-  }
+  KFN static bool any(const unsigned int* joints) { return Bits::any(joints, JOINT_WORDS); }
   KFN static void add_all(unsigned int* joints, const unsigned int* others) {
     for (int word = 0; word < JOINT_WORDS; ++word) joints[word] |= others[word];
   }

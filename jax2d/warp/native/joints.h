@@ -159,12 +159,10 @@ struct Joints {
     return joint.is_driven() && Math::abs(needed) < joint.max_motor_impulse ? AxialRow::MOTOR : AxialRow::NOTHING;
   }
 
-  KFN bool holds_axis(int k) const { return list[k].has_axial_row() && system.axial[k].holds != AxialRow::NOTHING; }
-
   KFN JointRows rows_of(int k) const {
     const Joint& joint = list[k];
     real none = real(0), one = real(1), is_weld = joint.is_fixed() ? one : none, third = is_weld;
-    if (HAS_AXES && joint.has_axial_row()) third = holds_axis(k) && !JointSystem::has(released, k) ? one : none;
+    if (HAS_AXES && joint.has_axial_row()) third = system.axial[k].holds != AxialRow::NOTHING && !JointSystem::has(released, k) ? one : none;
     if (joint.is_prismatic()) return JointRows::of_slider(joint.common_a, joint.common_b, axis[k], third);
     return JointRows::of(joint.common_a, joint.common_b, third, is_weld);
   }
@@ -208,7 +206,7 @@ struct Joints {
     if (is_first)
       for (int pass = 0; pass < (use_bias ? SPRING_PASSES : 1); ++pass) springs.solve(bodies, soft, use_bias, use_bias, active);
     if (count == 0) return;
-    bool is_new = is_first || JointSystem::has_any(released);
+    bool is_new = is_first || JointSystem::any(released);
     JointSystem::clear(released);
     if (is_first) {
       find_included(active);
@@ -260,7 +258,7 @@ struct Joints {
 
   KFN unsigned int* members_of(int last) const { return members + last * JOINT_WORDS; }
 
-  KFN bool is_held_by_motor(int k) const { return HAS_MOTORS && holds_axis(k) && system.axial[k].holds == AxialRow::MOTOR; }
+  KFN bool is_held_by_motor(int k) const { return list[k].has_axial_row() && system.axial[k].holds == AxialRow::MOTOR; }
 
   // Whether a motor of theirs holds.
   KFN bool hold_by_motors(const unsigned int* which) const {

@@ -152,6 +152,11 @@ struct Bits {
     return __builtin_popcount(word);
 #endif
   }
+  static KFN bool any(const unsigned int* set, int words) {
+    unsigned int all = 0u;
+    for (int word = 0; word < words; ++word) all |= set[word];
+    return all != 0u;
+  }
   static KFN void clear(unsigned int* set, int words) {
     for (int word = 0; word < words; ++word) set[word] = 0u;
   }
