@@ -33,7 +33,7 @@ def test_a_solution_is_searched_stored_and_played(serve: Any, open_page: OpenPag
     server: Server = serve("s/hop_home", "--results", results, name="edit")
     page = open_page(server, "#/edit")
     panel = panel_of(page)
-    assert str(results) in panel.inner_text()
+    panel.get_by_text(str(results)).first.wait_for()  # the page asks its server where
     panel.get_by_label("time to teach or to search").select_option("60")
     panel.get_by_role("button", name="solve it").click()
     panel.locator("[data-state=searching]").wait_for()
