@@ -41,6 +41,7 @@ NATIVE_FILES = (
     "drives.h",
     "springs.h",
     "joints.h",
+    "line_search.h",
     "contacts.h",
     "forces.h",
     "islands.h",
