@@ -41,7 +41,6 @@ NATIVE_FILES = (
     "drives.h",
     "springs.h",
     "joints.h",
-    "line_search.h",
     "contacts.h",
     "forces.h",
     "islands.h",

@@ -15,7 +15,6 @@ struct Joints {
   ARRAY(int, articulation, NUM_JOINTS > 0 ? NUM_SHAPES : 1);  // of each body: its last joint, -1: none
   ARRAY(unsigned int, members, (NUM_JOINTS + 1) * JOINT_WORDS);  // a row an articulation, at its last joint: a bit a joint
   JointSystem system;
-  bool is_answered;  // a second round is solved
   Springs springs;
   int count;
 
@@ -35,7 +34,6 @@ struct Joints {
       system.order[count++] = j;
     }
     system.count = count;
-    is_answered = false;
     JointSystem::clear(released);
     if (!SOFT_STEP) return;
     for (int k = 0; k < count; ++k) system.clear(system.after_of(k));
@@ -198,22 +196,16 @@ struct Joints {
     rows_of(k).push(pair, joint.held_impulse());
   }
 
-  // Parts of a pass with bias: joints, then contacts, then what joints answer to those and what is wrong since.
-  enum { FIRST_ROUND, ANSWER, SECOND_ROUND };
-
   // One of two rounds of a pass with bias, or a bounce. A second one is for what contacts and changed spins have made wrong
-  // since the first; with contacts of jointed bodies it is solved as the answer to these before it acts (line_search.h). A
-  // bounce is without motors: a force or torque does nothing in an instant.
+  // since the first. A bounce is without motors: a force or torque does nothing in an instant.
   //
   // A round is solved with what motors and limits held at last. Where that is not what they would do at the speeds that come
   // out, their articulation is solved again with what they would. Where they do not agree with each other in the end, limits
   // hold still, which takes energy and gives none.
-  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, int part, const Velocities& given, ActiveSet& active) {
-    bool is_first = part == FIRST_ROUND, is_solved = part == SECOND_ROUND && is_answered;
+  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool is_first, ActiveSet& active) {
     if (is_first)
       for (int pass = 0; pass < (use_bias ? SPRING_PASSES : 1); ++pass) springs.solve(bodies, soft, use_bias, use_bias, active);
     if (count == 0) return;
-    is_answered = part == ANSWER;
     bool is_new = is_first || JointSystem::any(released);
     JointSystem::clear(released);
     if (is_first) {
@@ -223,30 +215,25 @@ struct Joints {
     unsigned int which[JOINT_WORDS];  // that an attempt is about
     for (int word = 0; word < JOINT_WORDS; ++word) which[word] = included[word];
     // By velocities that no motor of this round has changed yet: a strong one spins a light body far beyond what is solved.
-    for (EachJoint k = EachJoint::of(which); use_bias && !is_solved && k.next();)
+    for (EachJoint k = EachJoint::of(which); use_bias && k.next();)
       system.bias[k.joint] = bias_of(bodies, Pair::of(bodies, list[k.joint].a, list[k.joint].b), k.joint, soft);
     for (int attempt = HAS_BRAKES_AND_SERVOS && is_first && use_bias ? -1 : 0;; ++attempt) {
       if (HAS_AXES && is_new && attempt >= 0) push_unheld(bodies, which, active);
-      if (!is_solved) {
-        assemble(bodies, which, use_bias, is_new);
-        for (EachJoint k = EachJoint::of(which); part == ANSWER && k.next();)
-          system.y[k.joint] = rows_of(k.joint).speeds(given.of(bodies, list[k.joint].a, list[k.joint].b));
-        system.eliminate(which, is_new, part == ANSWER);
-      }
+      assemble(bodies, which, use_bias, is_new);
+      system.eliminate(which, is_new, false);
       if (attempt < 0) {
         aim_servos(bodies, which, soft);
         continue;
       }
-      for (int k = count - 1; k >= 0; --k) {
-        if (!JointSystem::has(which, k)) continue;
-        if (!is_solved) system.substitute(k, part == ANSWER);
-        if (part != ANSWER) exert(bodies, k, -system.x[k], active);
-      }
-      if (part == ANSWER) return;
+      push(bodies, which, active);
       if (!HAS_AXES || attempt == AXIAL_CHANGES || !choose_held(bodies, which, attempt + 1 == AXIAL_CHANGES)) break;
       is_new = true;
-      is_solved = false;
     }
+  }
+
+  KFN void push(Bodies& bodies, const unsigned int* which, ActiveSet& active) {
+    for (int k = count - 1; k >= 0; --k)
+      if (JointSystem::has(which, k)) exert(bodies, k, -system.substitute(k, false), active);
   }
 
   KFN void exert(Bodies& bodies, int k, Vec3 impulse, ActiveSet& active) {

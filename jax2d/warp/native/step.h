@@ -186,8 +186,8 @@ struct World {
   // is from before, since a bounce does not last.
   KFN void solve(bool use_bias, Vec2 gravity, real h, const unsigned int* solved, bool is_part, const unsigned int* ending) {
     int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS)), max_passes = (int)(params.get(PARAM_IMPACT_PASSES));
-    bool bouncing = false;
-    int part = Joints::FIRST_ROUND, round = 0, passes = 0, energy_passes = 0;
+    bool bouncing = false, is_second = false;  // joints again
+    int round = 0, passes = 0, energy_passes = 0;
     unsigned int gaining[SHAPE_WORDS], none[SHAPE_WORDS], hit[SHAPE_WORDS], passed[SHAPE_WORDS];
     Bodies::clear(none);
     Bodies::copy(gaining, solved);
@@ -195,18 +195,13 @@ struct World {
     contacts.active.begin(is_part, solved);
     for (;;) {
       if (use_bias || round > 0 || energy_passes > 0)
-        joints.solve_soft(bodies, soft, use_bias, part, contacts.search.given, contacts.active);
+        joints.solve_soft(bodies, soft, use_bias, !is_second, contacts.active);
       else
         joints.springs.solve(bodies, soft, false, true, contacts.active);
-      bool searches = NUM_JOINTS > 0 && use_bias && joints.count > 0 && contacts.count > 0;
-      if (searches && part == Joints::ANSWER) search_line();
-      if (part == Joints::FIRST_ROUND) contacts.solve_soft(bodies, joints, soft, use_bias, round, islands.first);
+      if (!is_second) contacts.solve_soft(bodies, joints, soft, use_bias, round);
       if (use_bias) {
-        if (part == Joints::FIRST_ROUND)
-          part = searches && calls_for_search() ? Joints::ANSWER : Joints::SECOND_ROUND;
-        else
-          part = part == Joints::ANSWER ? Joints::SECOND_ROUND : Joints::FIRST_ROUND;
-        if (part != Joints::FIRST_ROUND) continue;
+        is_second = !is_second;
+        if (is_second) continue;
         unsigned int again[SHAPE_WORDS];
         bool is_slowed = slow_down(passed, passes < LIMITED_PASSES, again);
         if (!SHARES_IMPACTS && !is_slowed) break;
@@ -255,60 +250,6 @@ struct World {
       report.add(contacts.list[k], k, islands.gain[islands.of(bodies, contacts.list[k].a, contacts.list[k].b)]);
     joints.load_impulses(impulses);
     contacts.load_impulses(impulses, hit);
-  }
-
-  KFN bool calls_for_search() const {
-    for (Bodies::Each each = Bodies::Each::of(islands.jointed); each.next();)
-      if (contacts.search.is_called_for(each.shape)) return true;
-    return false;
-  }
-
-  // Joints have been solved, and not acted yet.
-  KFN void search_line() {
-    for (Bodies::Each each = Bodies::Each::of(islands.jointed); each.next();) {
-      if (!contacts.search.is_called_for(each.shape)) continue;
-      real more = more_of(each.shape);
-      if (more == real(0)) continue;
-      for (int k = 0; k < joints.count; ++k)
-        if (is_joint_of(k, each.shape)) joints.system.x[k] = joints.system.x[k].plus(joints.system.y[k], more);
-      for (int k = 0; k < contacts.count; ++k)
-        if (is_contact_of(k, each.shape)) contacts.give_more(bodies, k, more * contacts.search.impulse[k], soft);
-    }
-  }
-
-  // That are solved in this pass.
-  KFN bool is_joint_of(int k, int island) const {
-    return JointSystem::has(joints.included, k) && islands.of(bodies, joints.list[k].a, joints.list[k].b) == island;
-  }
-  KFN bool is_contact_of(int k, int island) const {
-    const Contact& c = contacts.list[k];
-    return islands.of(bodies, c.a, c.b) == island && !contacts.active.leaves_out(c.a, c.b);
-  }
-
-  // How much more an island takes of what its contacts have got.
-  KFN real more_of(int island) const {
-    const LineSearch& search = contacts.search;
-    real moved = real(0), curve = search.yielded[island], most = FAR_DISTANCE;
-    for (int k = 0; k < contacts.count; ++k) {
-      real taken = -search.impulse[k];
-      if (is_contact_of(k, island) && taken > real(0)) most = Math::min(most, contacts.list[k].impulse_normal / taken);
-    }
-    for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
-      int i = each.shape;
-      if (islands.first[i] != island) continue;
-      Vec2 v = search.given.velocity[i];
-      real w = search.given.omega[i];
-      moved += bodies.mass(i) * v.dot(v) + Math::inverse_or_zero(bodies.inverse_inertia(i)) * w * w;
-    }
-    for (int k = 0; k < joints.count; ++k) {
-      if (!is_joint_of(k, island)) continue;
-      curve -= joints.system.spent[k];
-      real change = -joints.system.y[k].z;
-      if (HAS_AXES && joints.list[k].has_axial_row()) joints.system.axial[k].bound(most, joints.list[k].total_impulse() + change, change);
-    }
-    curve += moved;
-    real left = search.slope[island] - real(0.5) * moved + curve, bend = Fused::of(real(LEAST_CURVE), moved, curve);
-    return bend > real(0) ? Math::clamp(-left / bend, real(-1), most) : real(0);
   }
 
   // What moving surfaces and kinematic bodies have done to islands of `which` in this sub-step, times `share`; all of it is
