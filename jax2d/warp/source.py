@@ -40,7 +40,6 @@ NATIVE_FILES = (
     "joint.h",
     "drives.h",
     "springs.h",
-    "line_search.h",
     "joints.h",
     "contacts.h",
     "forces.h",

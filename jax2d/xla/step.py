@@ -17,7 +17,6 @@ from jax2d.xla import (
     forces,
     geometry,
     impact_propagation,
-    line_search,
     paper,
     reports,
 )
@@ -260,10 +259,10 @@ def _solve_passes(
     together. `only`: the bodies [n] that this is about. sharing: without bias, joints as the bodies stand, and [] bool
     whether they are solved all the same, since an island has gained energy.
 
-    Joints, contacts, and joints again: so each has what the other answers (line_search.py). With bias, where a speed
-    limit takes back what stops a body, the rest of it is solved again with all of its island: what is jointed keeps its
-    spin at the limit then, and what is heavier and turns it faster gives way, or joints would come apart. And where
-    something hits, passes go on until all that it reaches has its share.
+    Joints, contacts, and joints again: so each has what the other answers. With bias, where a speed limit takes back
+    what stops a body, the rest of it is solved again with all of its island: what is jointed keeps its spin at the
+    limit then, and what is heavier and turns it faster gives way, or joints would come apart. And where something
+    hits, passes go on until all that it reaches has its share.
     """
     bodies, joints, contacts = start
     use_bias = sharing is None
@@ -285,14 +284,12 @@ def _solve_passes(
             bodies, joints, moved = joints_of.solve_soft(
                 now.bodies, now.joints, standing, params, now.active, use_bias=True
             )
-        bodies, contacts, joints, hit, given = contact_solver.solve_soft(
+        bodies, contacts, joints, hit = contact_solver.solve_soft(
             bodies, now.contacts, (joints, standing), params, now.active, use_bias=use_bias
         )
         if use_bias:
-            contacted = Solved(bodies, joints, contacts)
-            bodies, contacts = line_search.apply(contacted, given, standing, islands, params, now.active)
             bodies, joints, moved_again = joints_of.solve_soft(
-                bodies, joints, standing, params, now.active, use_bias=True, after=contacted.bodies.velocities
+                bodies, joints, standing, params, now.active, use_bias=True, is_first=False
             )
             moved |= moved_again
         shared = (hit | (moved & islands.whole(now.active.moved))) & (index < rules.impact_passes)

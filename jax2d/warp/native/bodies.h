@@ -210,6 +210,32 @@ struct Bodies {
   }
 };
 
+// Velocities of all bodies at another moment.
+struct Velocities {
+  ARRAY(Vec2, velocity, ISLAND_SHAPES);
+  ARRAY(real, omega, ISLAND_SHAPES);
+
+  // Of `which`, a bit a shape.
+  KFN void keep(const Bodies& bodies, const unsigned int* which) {
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
+      velocity[each.shape] = bodies.velocity(each.shape);
+      omega[each.shape] = bodies.omega(each.shape);
+    }
+  }
+
+  KFN void swap(Bodies& bodies, const unsigned int* which) {
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
+      int i = each.shape;
+      Vec2 v = bodies.velocity(i);
+      real w = bodies.omega(i);
+      bodies.set_velocity(i, velocity[i]);
+      bodies.set_omega(i, omega[i]);
+      velocity[i] = v;
+      omega[i] = w;
+    }
+  }
+};
+
 // From the centres of mass of two bodies to where an impulse acts on both.
 struct Arms {
   Vec2 a, b;
@@ -316,58 +342,5 @@ struct Pair {
   KFN void apply_angular_impulse(real impulse_on_b) {
     omega_a = Fused::of(-inverse_inertia_a, impulse_on_b, omega_a);
     omega_b = Fused::of(inverse_inertia_b, impulse_on_b, omega_b);
-  }
-};
-
-// Velocities of all bodies at another moment.
-struct Velocities {
-  ARRAY(Vec2, velocity, ISLAND_SHAPES);
-  ARRAY(real, omega, ISLAND_SHAPES);
-
-  // Of `which`, a bit a shape.
-  KFN void keep(const Bodies& bodies, const unsigned int* which) {
-    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
-      velocity[each.shape] = bodies.velocity(each.shape);
-      omega[each.shape] = bodies.omega(each.shape);
-    }
-  }
-
-  KFN void clear(const unsigned int* which) {
-    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
-      velocity[each.shape] = {real(0), real(0)};
-      omega[each.shape] = real(0);
-    }
-  }
-
-  // Of changes: those of two bodies, and what an impulse adds to them.
-  KFN Pair of(const Bodies& bodies, int a, int b) const {
-    Pair pair = Pair::of(bodies, a, b).at_rest();
-    if (bodies.moves(a)) pair.add_to(a, velocity[a], omega[a]);
-    if (bodies.moves(b)) pair.add_to(b, velocity[b], omega[b]);
-    return pair;
-  }
-  KFN void add(const Bodies& bodies, const Pair& masses, Arms arms, Vec2 impulse_on_b) {
-    Pair pair = masses.at_rest();
-    pair.apply_impulse(arms.a, arms.b, impulse_on_b);
-    if (bodies.moves(pair.a)) {
-      velocity[pair.a] = velocity[pair.a] + pair.velocity_a;
-      omega[pair.a] += pair.omega_a;
-    }
-    if (bodies.moves(pair.b)) {
-      velocity[pair.b] = velocity[pair.b] + pair.velocity_b;
-      omega[pair.b] += pair.omega_b;
-    }
-  }
-
-  KFN void swap(Bodies& bodies, const unsigned int* which) {
-    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
-      int i = each.shape;
-      Vec2 v = bodies.velocity(i);
-      real w = bodies.omega(i);
-      bodies.set_velocity(i, velocity[i]);
-      bodies.set_omega(i, omega[i]);
-      velocity[i] = v;
-      omega[i] = w;
-    }
   }
 };

@@ -10,7 +10,6 @@ struct Islands {
   ARRAY(Vec2, velocity, ISLAND_SHAPES);    // of each, when forces had acted and nothing had been solved
   ARRAY(real, omega, ISLAND_SHAPES);
   ARRAY(unsigned int, anchored, SHAPE_WORDS);  // a bit an island, at its first body: it is held by what cannot be pushed
-  ARRAY(unsigned int, jointed, SHAPE_WORDS);   // the same: it has joints
 
   // Contacts of `which` have been found.
   KFN void find(const Bodies& bodies, const Contacts& contacts, const Joints& joints, const unsigned int* which) {
@@ -20,8 +19,6 @@ struct Islands {
     for (int k = 0; k < joints.springs.count; ++k) join(bodies, joints.springs.a_of(k), joints.springs.b_of(k));
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) first[each.shape] = first_of(each.shape);
     Bodies::clear(anchored);
-    Bodies::clear(jointed);
-    for (int k = 0; k < joints.count; ++k) Bodies::add(jointed, of(bodies, joints.list[k].a, joints.list[k].b));
     for (int k = 0; k < contacts.count; ++k) anchor(bodies, contacts.list[k].a, contacts.list[k].b);
     for (int k = 0; k < joints.count; ++k) anchor(bodies, joints.list[k].a, joints.list[k].b);
     for (int k = 0; k < joints.springs.count; ++k) anchor(bodies, joints.springs.a_of(k), joints.springs.b_of(k));

@@ -195,12 +195,11 @@ struct World {
     contacts.active.begin(is_part, solved);
     for (;;) {
       if (use_bias || round > 0 || energy_passes > 0)
-        joints.solve_soft(bodies, soft, use_bias, !is_second, contacts.search, contacts.active);
+        joints.solve_soft(bodies, soft, use_bias, !is_second, contacts.active);
       else
         joints.springs.solve(bodies, soft, false, true, contacts.active);
-      if (!is_second) contacts.solve_soft(bodies, joints, soft, use_bias, round, islands.first, islands.jointed);
+      if (!is_second) contacts.solve_soft(bodies, joints, soft, use_bias, round);
       if (use_bias) {
-        if (is_second && contacts.search.is_found) contacts.add_more(bodies);
         is_second = !is_second;
         if (is_second) continue;
         unsigned int again[SHAPE_WORDS];
