@@ -29,14 +29,17 @@ def data_directory(name: str) -> Path:
     return installed if installed.is_dir() else PACKAGE.parent / name
 
 
+NOT_INSTALLED = "not installed"
+
+
 def version_of(package: str = "kinetix-dist") -> str:
-    """Version of an installed package; "not installed" of one that is not, as this one where a checkout is run."""
+    """Version of an installed package; NOT_INSTALLED of one that is not, as this one where a checkout is run."""
     from importlib.metadata import PackageNotFoundError, version  # 20 ms that an import of the package does not need
 
     try:
         return version(package)
     except PackageNotFoundError:
-        return "not installed"
+        return NOT_INSTALLED
 
 
 NAME = "jax2d"

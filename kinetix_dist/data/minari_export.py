@@ -17,7 +17,6 @@ import itertools
 import shutil
 import warnings
 from collections.abc import Callable, Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from kinetix_dist.data.columns import Transitions
 from kinetix_dist.data.dataset import Dataset
 from kinetix_dist.data.manifest import DatasetError
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.installation import NOT_INSTALLED, version_of
 
 INFO_FIELDS = ("level", "step", "solved", "chosen_by", "log_prob", "policy_version")
 MANIFEST_KEY = "kinetix_dist_dataset"
@@ -126,7 +126,7 @@ def _create(dataset: Dataset, env: Environment, dataset_id: str, episodes: list[
 
     from kinetix_dist.env.wrappers.gymnasium_env import action_space, observation_space
 
-    manifest = dataset.manifest
+    manifest, own = dataset.manifest, version_of()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # about author, mail and environment, which nobody gave
         created = minari.create_dataset_from_buffers(
@@ -136,7 +136,7 @@ def _create(dataset: Dataset, env: Environment, dataset_id: str, episodes: list[
             action_space=action_space(env.action_space),
             algorithm_name=str(manifest["policy"]["name"]),
             description=f"{manifest['policy']['name']} on {manifest['levels']['set']}, collected by kinetix-dist",
-            requirements=[f"kinetix-dist=={version('kinetix-dist')}"],
+            requirements=["kinetix-dist" if own == NOT_INSTALLED else f"kinetix-dist=={own}"],
             data_format="hdf5",
             jpeg_encoding=False,  # which would lose what pictures show
         )

@@ -13,6 +13,7 @@ import pytest
 from kinetix_dist.cli.main import main
 from kinetix_dist.data import Dataset, DatasetError, minari_export, open_dataset
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.installation import NOT_INSTALLED, version_of
 
 ID = "kinetix/random-v0"
 
@@ -69,6 +70,19 @@ def test_minari_reads_the_episodes_of_a_data_set(
     assert 0 < num_cut < number
     assert found.storage.metadata["kinetix_dist_dataset"] == data.manifest
     assert len(found.sample_episodes(3)) == 3
+
+
+def test_a_checkout_that_is_not_installed_exports_too(
+    root: Path, collected: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import minari
+
+    minari_export.export_minari(open_dataset(collected), "installed-v0")
+    monkeypatch.setattr(minari_export, "version_of", lambda: NOT_INSTALLED)
+    minari_export.export_minari(open_dataset(collected), "checkout-v0")
+    installed, checkout = (minari.load_dataset(f"{name}-v0").storage.metadata for name in ("installed", "checkout"))
+    assert list(installed["requirements"]) == [f"kinetix-dist=={version_of()}"]
+    assert list(checkout["requirements"]) == ["kinetix-dist"]
 
 
 def test_an_id_that_is_taken_or_none_is_one_line(
