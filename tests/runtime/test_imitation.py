@@ -87,7 +87,7 @@ def test_the_policy_becomes_likely_to_act_as_the_proof_does(level: Path) -> None
     assert same == loss and jax.tree.all(jax.tree.map(lambda a, b: bool((a == b).all()), after, again))
 
 
-@pytest.mark.long  # a network of the size of pretrained ones learns for a minute
+@pytest.mark.slow  # a network of the size of pretrained ones learns for minutes; long tests teach by the page
 def test_a_level_that_is_never_solved_is_solved_after_imitation_and_ends_the_run(tmp_path: Path) -> None:
     level, run = tmp_path / "mine.json", tmp_path / "run"
     never_solved = levels_root() / "s" / "aim_rocket.json"
