@@ -133,7 +133,9 @@ def test_what_is_logged_of_a_curriculum_names_it_and_its_size(unbroken):
     assert windows[-3:] == [(8, 10, False), (10, 12, False), (12, 14, True)]
 
 
-@pytest.mark.parametrize("saved_at", [2, 4, 5, 8, 10, 13])
+@pytest.mark.parametrize(
+    "saved_at", [2, 4, 5, 8, 10, 13, *(pytest.param(update, marks=pytest.mark.slow) for update in (1, 6, 12))]
+)
 def test_a_run_resumed_at_a_change_or_next_to_it_equals_the_unbroken_one(unbroken, tmp_path, saved_at):
     config, path, rows = unbroken
     shutil.copytree(path, tmp_path / "cut")
