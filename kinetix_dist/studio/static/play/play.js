@@ -132,7 +132,6 @@ export class Play {
   async control(what, more = {}) {
     if (!this.session) return;
     if (what === "speed") this.speed = more.speed;
-    if (what === "reset") this.outcome = "";
     try {
       const reply = await channel.request("play.control", { session: this.session.session, do: what, ...more });
       this.isRunning = reply.running;
@@ -141,7 +140,8 @@ export class Play {
         this.session = { ...this.session, policy: reply.policy, sizes: reply.sizes };
         this.policy = more.policy;
       }
-      if (what === "take_over" || (what === "seek" && reply.step < reply.last)) this.outcome = "";
+      // only now: the end of what was played before may come until the answer
+      if (what === "reset" || what === "take_over" || (what === "seek" && reply.step < reply.last)) this.outcome = "";
     } catch (error) {
       this.problem = error instanceof Error ? error.message : String(error);
     }
