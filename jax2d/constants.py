@@ -191,6 +191,12 @@ class Constants:
         "an impact is passed on from disc to disc so many times",
         "fewer: what is left of it stops in a long row of discs",
     )
+    simultaneous_share: float = _constant(
+        0.001,
+        "of the fastest impact's speed",
+        "impacts whose speeds differ by less are solved as one, to so much",
+        "0: which of two that are alike comes first is decided by rounding",
+    )
     bounce_tolerance: float = _constant(0.002, "of the speed to leave with", "closer than this a bounce has converged")
     min_gained_share: float = _constant(
         0.001,

@@ -2,7 +2,8 @@
 
 Contacts that are solved together bounce as if their bodies were one. Bodies that meet in one point pass an impact on
 instead: impact after impact, the fastest first, each with the restitution of its contact, from the velocities with
-which the bodies came. What that leaves of a contact's speed is what its bounce aims at.
+which the bodies came. What that leaves of a contact's speed is what its bounce aims at. Impacts of one speed are one:
+a ball that meets two alike goes straight on, whichever comes first in the list.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from jax2d.xla.bodies import (
     Bodies,
     Velocities,
     apply_impulse,
-    pair_mass,
     pair_velocities,
     scatter_velocities,
 )
@@ -55,7 +55,7 @@ def propagate(
 
 
 def _impact(contacts: Contacts, passes_on: jax.Array, together: jax.Array, rebound_target: jax.Array):
-    """One impact in each island: that of the contact whose bodies approach fastest, if any does. together [K, K] bool,
+    """One impact in each island: that of the contacts whose bodies approach fastest, if any do. together [K, K] bool,
     in one island."""
     index_of = jnp.arange(passes_on.shape[0])
 
@@ -63,21 +63,55 @@ def _impact(contacts: Contacts, passes_on: jax.Array, together: jax.Array, rebou
         velocities, once, again, factor = carry
         closing = jnp.where(passes_on, -_normal_speed(contacts, velocities), 0)
         is_behind = (closing > closing[:, None]) | ((closing == closing[:, None]) & (index_of < index_of[:, None]))
-        is_next = (closing > C.settled_speed) & ~jnp.any(together & is_behind, axis=1)
+        is_fastest = (closing > C.settled_speed) & ~jnp.any(together & is_behind, axis=1)
         # The moment of the impact falls inside the step: its speed is that of the bounce.
-        is_first = is_next & (index == 0) & (rebound_target > 0)
+        is_first = is_fastest & (index == 0) & (rebound_target > 0)
         own = rebound_target / jnp.where(is_first, contacts.restitution * closing, 1)
         of_island = together & is_first
         factor = jnp.where(jnp.any(of_island, axis=1), jnp.sum(jnp.where(of_island, own, 0), axis=1), factor)
-        pair, arm_a, arm_b, normal = contacts.pair, contacts.arm_a, contacts.arm_b, contacts.normal
-        before = pair_velocities(pair, velocities)
-        impulse = (1 + contacts.restitution) * closing * pair_mass(pair, arm_a, arm_b, normal)
-        after = apply_impulse(before, pair, arm_a, arm_b, normal * jnp.where(is_next, impulse, 0)[:, None])
+        speed = (1 - C.simultaneous_share) * jnp.max(jnp.where(together & is_fastest, closing, 0), axis=1)
+        is_next = (speed > 0) & (closing >= speed)
         both = _bodies_of(contacts, is_next)
-        moved = scatter_velocities(velocities, pair, before, after)
+        moved = _collide_at_once(contacts, is_next, together, closing, speed, velocities)
         return (moved, once | both, again | (once & both), factor), None
 
     return impact
+
+
+def _collide_at_once(
+    contacts: Contacts,
+    chosen: jax.Array,
+    together: jax.Array,
+    closing: jax.Array,
+    speed: jax.Array,
+    velocities: Velocities,
+) -> Velocities:
+    """The chosen contacts, which close at `closing` [K] m/s, leave with their restitution, all at once: pass after pass
+    until none of an island changes by much of its `speed` [K] m/s."""
+
+    pair, still = contacts.pair, jax.tree.map(jnp.zeros_like, velocities)
+    before = pair_velocities(pair, still)
+    after = apply_impulse(before, pair, contacts.arm_a, contacts.arm_b, contacts.normal)
+    unit = jax.vmap(scatter_velocities, (None, 0, 0, 0))(still, pair, before, after)  # by 1 N s at each contact
+    response = jax.vmap(_normal_speed, (None, 0))(contacts, unit)  # [K, K] m/s, of the second by the first
+    wanted, index_of = (1 + contacts.restitution) * closing, jnp.arange(closing.shape[0])
+
+    def one_contact(given: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
+        index, of_others, speed_wanted, acts = row
+        wrong = of_others @ given - speed_wanted
+        total = jnp.maximum(given[index] - wrong / jnp.where(acts, of_others[index], 1), 0)
+        is_changed = acts & (total != given[index])
+        return jnp.where(is_changed & (index_of == index), total, given), jnp.where(is_changed, jnp.abs(wrong), 0)
+
+    def one_pass(carry: tuple) -> tuple:
+        given, going, passes = carry
+        given, wrong = jax.lax.scan(one_contact, given, (index_of, response.T, wanted, going))
+        is_settled = ~jnp.any(together & (wrong >= C.simultaneous_share * speed), axis=1)
+        return given, going & ~is_settled, passes + 1
+
+    start = (jnp.zeros_like(closing), chosen, jnp.zeros((), jnp.int32))
+    given = jax.lax.while_loop(lambda carry: jnp.any(carry[1]) & (carry[2] < C.max_impacts), one_pass, start)[0]
+    return jax.tree.map(lambda had, of_one: had + jnp.tensordot(given, of_one, 1), velocities, unit)
 
 
 def _passes_on(contacts: Contacts) -> jax.Array:

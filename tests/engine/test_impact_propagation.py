@@ -105,6 +105,35 @@ def test_a_row_and_its_mirror_image_and_other_slots_leave_alike():
         np.testing.assert_allclose(one, third, atol=0.05)
 
 
+@pytest.mark.also_gpu
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("name", ["standard", "fine"])
+def test_a_disc_that_meets_two_alike_pushes_both_alike(name: str, backwards: bool):
+    """A cue hits a ball that touches two, all of one mass and e = 1. The ball would hand on all that it has: straight
+    back comes a fifth of it, and the two leave along their normals, at 30 degrees, with 2 sqrt(3) / 5."""
+    radius, speed, turn = 0.1, 5.0, math.radians(20)
+    along, across = np.array([math.cos(turn), math.sin(turn)]), np.array([-math.sin(turn), math.cos(turn)])
+    places = [(-1.0, 0.0), (0.0, 0.0), (radius * math.sqrt(3), radius), (radius * math.sqrt(3), -radius)]
+    b, discs = SceneBuilder(ROW, gravity=(0, 0)), [0] * 4
+    for i in reversed(range(4)) if backwards else range(4):
+        x, y = places[i]
+        velocity = along * speed if i == 0 else np.zeros(2)
+        discs[i] = b.add_circle(
+            radius=radius,
+            position=tuple(x * along + y * across),
+            velocity=tuple(velocity),
+            restitution=1.0,
+            friction=0.0,
+        )
+    (m,) = record_worlds(engine(name), [b.build()], seconds=0.5)
+    v = np.asarray(m.velocity)[-1, discs] / speed
+    share = 2 * math.sqrt(3) / 5 * np.array([math.cos(math.pi / 6), math.sin(math.pi / 6)])
+    right = np.array(
+        [-0.2 * along, 0 * along, share[0] * along + share[1] * across, share[0] * along - share[1] * across]
+    )
+    np.testing.assert_allclose(v, right, atol=0.005)
+
+
 @pytest.mark.slow  # test_reference.py compares levels that bounce
 def test_reference_passes_impacts_on_alike():
     rows = [row(seed, restitution=1.0, gap=5e-4, equal=True, num_hitting=1) for seed in range(NUM_ROWS)]

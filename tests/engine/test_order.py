@@ -17,7 +17,6 @@ BROKEN = [
     Broken("order: symmetric bridge", ("draft",), CONTACTS),
     Broken("order: symmetric pile", PRESETS, CONTACTS),
     Broken("order: symmetric welded cross", ("draft", "standard"), CONTACTS),
-    Broken("order: speeds of the halves", PRESETS, CONTACTS),
 ]
 
 

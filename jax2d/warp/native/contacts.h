@@ -562,32 +562,31 @@ struct Contacts {
   }
 
   // In one island, impact after impact, the fastest first, from the velocities with which bodies came, which it changes:
-  // what that leaves of a contact's speed is what its bounce aims at.
+  // what that leaves of a contact's speed is what its bounce aims at. Impacts of one speed are one: a ball that meets two
+  // alike goes straight on, whichever comes first in the list.
   KFN void propagate_impacts(Bodies& bodies, const unsigned int* island) {
     unsigned int once[SHAPE_WORDS], again[SHAPE_WORDS];
     Bodies::clear(once);
     Bodies::clear(again);
     real factor = real(1);  // the moment of the impact falls inside the step: its speed is that of the bounce
     for (int impact = 0; impact < MAX_IMPACTS; ++impact) {
-      int next = -1;
+      int fastest = -1;
       real speed = SETTLED_SPEED;
       for (int i = 0; i < count; ++i) {
         real closing = passes_on(list[i]) && is_of(list[i], island) ? -normal_speed(bodies, list[i]) : real(0);
+        list[i].approach = -closing;
         if (closing <= speed) continue;
         speed = closing;
-        next = i;
+        fastest = i;
       }
-      if (next < 0) break;
-      const Contact& c = list[next];
-      if (impact == 0 && c.bounce > real(0)) factor = Fast::divide(c.bounce, c.restitution * speed);
-      Pair pair = Pair::of(bodies, c.a, c.b);
-      real impulse = (real(1) + c.restitution) * speed * pair.mass(c.arm_a, c.arm_b, c.normal);
-      pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
-      pair.write_back(bodies);
-      for (int of_b = 0; of_b < 2; ++of_b) {
-        int body = of_b ? c.b : c.a;
-        if (Bodies::has(once, body)) Bodies::add(again, body);
-        Bodies::add(once, body);
+      if (fastest < 0) break;
+      const Contact& first = list[fastest];
+      if (impact == 0 && first.bounce > real(0)) factor = Fast::divide(first.bounce, first.restitution * speed);
+      unsigned int hit[SHAPE_WORDS];
+      collide_at_once(bodies, (real(1) - SIMULTANEOUS_SHARE) * speed, hit);
+      for (int word = 0; word < SHAPE_WORDS; ++word) {
+        again[word] |= once[word] & hit[word];
+        once[word] |= hit[word];
       }
     }
     for (int i = 0; i < count; ++i) {
@@ -597,6 +596,33 @@ struct Contacts {
       real speed = normal_speed(bodies, c);
       c.bounce = speed > SETTLED_SPEED ? factor * speed : real(0);
       c.is_impact = true;  // its impulse does not last
+    }
+  }
+
+  // What approaches at `speed` or faster leaves with its restitution, all at once: pass after pass until no contact changes
+  // by much. Marks its bodies.
+  KFN void collide_at_once(Bodies& bodies, real speed, unsigned int* hit) {
+    real given[NUM_CONTACTS + 1];
+    Bodies::clear(hit);
+    for (int i = 0; i < count; ++i) {
+      given[i] = real(0);
+      if (-list[i].approach >= speed) bodies.add_dynamic(hit, list[i].a, list[i].b);
+    }
+    bool is_settled = false;
+    for (int pass = 0; pass < MAX_IMPACTS && !is_settled; ++pass) {
+      is_settled = true;
+      for (int i = 0; i < count; ++i) {
+        const Contact& c = list[i];
+        if (-c.approach < speed) continue;
+        Pair pair = Pair::of(bodies, c.a, c.b);
+        real wrong = c.normal.dot(pair.relative(c.arm_a, c.arm_b)) + c.restitution * c.approach;
+        real total = Math::max(given[i] - wrong * pair.mass(c.arm_a, c.arm_b, c.normal), real(0));
+        real impulse = total - given[i];
+        given[i] = total;
+        is_settled &= impulse == real(0) || Math::abs(wrong) < SIMULTANEOUS_SHARE * speed;
+        pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
+        pair.write_back(bodies);
+      }
     }
   }
 
