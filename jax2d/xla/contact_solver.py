@@ -64,6 +64,21 @@ def arms_now(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
     return contacts.arm_a + apart * share, contacts.arm_b - apart * (1 - share)
 
 
+def arms_of_impact(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
+    """`arms_now` of an impact of two polygons: to where both have got and turned since. On what is fixed the point
+    stays on the other's surface. A disc has its point below its centre, however it turns."""
+    turn_a, turn_b = turned_arms(bodies, contacts)
+    gap = contacts.gap + moved_apart(bodies, contacts) + turn_b - turn_a
+    along = contacts.normal * vec2.dot(contacts.normal, gap)[:, None]
+    gap = jnp.where(contacts.against_fixed[:, None], gap - along, gap)
+    share, plain = contacts.follows_b[:, None], contacts.of_disc[:, None]
+    of_discs = arms_now(bodies, contacts)
+    return (
+        jnp.where(plain, of_discs[0], contacts.arm_a + turn_a + gap * share),
+        jnp.where(plain, of_discs[1], contacts.arm_b + turn_b - gap * (1 - share)),
+    )
+
+
 def carried_arms(
     bodies: Bodies, contacts: Contacts, arm_a: jax.Array, arm_b: jax.Array, ahead: Scalar
 ) -> tuple[jax.Array, jax.Array]:
@@ -173,6 +188,9 @@ def solve_soft(
         return (velocities, joint_impulses, own), (*totals, *of_first, included & is_impact & (own.change > large))
 
     rows = rows_now(bodies, contacts, ahead)
+    is_placed = (contacts.is_impact & ~contacts.kinematic_a & ~contacts.kinematic_b)[:, None]
+    arm_a, arm_b = choose(is_placed, arms_of_impact(bodies, contacts), (rows.arm_a, rows.arm_b))
+    rows = rows._replace(arm_a=arm_a, arm_b=arm_b)
     foreseen = use_bias & (~contacts.of_disc | contacts.disc_on_face)
     face = Face(
         is_of_a=contacts.follows_b > 0.5,

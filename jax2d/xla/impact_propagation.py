@@ -12,13 +12,14 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
+from jax2d.xla import vec2
 from jax2d.xla.active_set import has_one_of, marked
 from jax2d.xla.bodies import (
     Bodies,
     Velocities,
     apply_impulse,
     pair_velocities,
-    scatter_velocities,
+    pick,
 )
 from jax2d.xla.branching import in_any_world
 from jax2d.xla.contact_solver import normal_speed, rows_of
@@ -89,29 +90,38 @@ def _collide_at_once(
     """The chosen contacts, which close at `closing` [K] m/s, leave with their restitution, all at once: pass after pass
     until none of an island changes by much of its `speed` [K] m/s."""
 
-    pair, still = contacts.pair, jax.tree.map(jnp.zeros_like, velocities)
-    before = pair_velocities(pair, still)
-    after = apply_impulse(before, pair, contacts.arm_a, contacts.arm_b, contacts.normal)
-    unit = jax.vmap(scatter_velocities, (None, 0, 0, 0))(still, pair, before, after)  # by 1 N s at each contact
-    response = jax.vmap(_normal_speed, (None, 0))(contacts, unit)  # [K, K] m/s, of the second by the first
-    wanted, index_of = (1 + contacts.restitution) * closing, jnp.arange(closing.shape[0])
+    pair = contacts.pair
+    zero = jax.tree.map(jnp.zeros_like, pair_velocities(pair, velocities))
+    unit = apply_impulse(zero, pair, contacts.arm_a, contacts.arm_b, contacts.normal)
+    by_a, by_b = _rows(unit.velocity_a, unit.omega_a), _rows(unit.velocity_b, unit.omega_b)  # by 1 N s
+    of_a = -_rows(contacts.normal, vec2.cross(contacts.arm_a, contacts.normal))
+    of_b = _rows(contacts.normal, vec2.cross(contacts.arm_b, contacts.normal))
+    mass = vec2.inverse_or_zero(jnp.sum(of_a * by_a, -1) + jnp.sum(of_b * by_b, -1))
+    wanted = contacts.restitution * closing
 
-    def one_contact(given: jax.Array, row: tuple) -> tuple[jax.Array, jax.Array]:
-        index, of_others, speed_wanted, acts = row
-        wrong = of_others @ given - speed_wanted
-        total = jnp.maximum(given[index] - wrong / jnp.where(acts, of_others[index], 1), 0)
-        is_changed = acts & (total != given[index])
-        return jnp.where(is_changed & (index_of == index), total, given), jnp.where(is_changed, jnp.abs(wrong), 0)
+    # Bodies one by one, not as one sum over all contacts: that would be rounded by what other islands have.
+    def one_contact(moving: jax.Array, row: tuple) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        is_a, is_b, of_a, of_b, by_a, by_b, mass, wanted, acts, given = row
+        wrong = jnp.dot(of_a, pick(is_a, moving)) + jnp.dot(of_b, pick(is_b, moving)) - wanted
+        total = jnp.where(acts, jnp.maximum(given - wrong * mass, 0), given)
+        more = total - given
+        moving += jnp.where(is_a[:, None], more * by_a, 0) + jnp.where(is_b[:, None], more * by_b, 0)
+        return moving, (total, jnp.where(more == 0, 0, jnp.abs(wrong)))
 
     def one_pass(carry: tuple) -> tuple:
-        given, going, passes = carry
-        given, wrong = jax.lax.scan(one_contact, given, (index_of, response.T, wanted, going))
+        moving, given, going, passes = carry
+        rows = (pair.is_a, pair.is_b, of_a, of_b, by_a, by_b, mass, wanted, going, given)
+        moving, (given, wrong) = jax.lax.scan(one_contact, moving, rows)
         is_settled = ~jnp.any(together & (wrong >= C.simultaneous_share * speed), axis=1)
-        return given, going & ~is_settled, passes + 1
+        return moving, given, going & ~is_settled, passes + 1
 
-    start = (jnp.zeros_like(closing), chosen, jnp.zeros((), jnp.int32))
-    given = jax.lax.while_loop(lambda carry: jnp.any(carry[1]) & (carry[2] < C.max_impacts), one_pass, start)[0]
-    return jax.tree.map(lambda had, of_one: had + jnp.tensordot(given, of_one, 1), velocities, unit)
+    start = (_rows(velocities.velocity, velocities.omega), jnp.zeros_like(closing), chosen, jnp.zeros((), jnp.int32))
+    moving, *_ = jax.lax.while_loop(lambda carry: jnp.any(carry[2]) & (carry[3] < C.max_impacts), one_pass, start)
+    return Velocities(moving[:, :2], moving[:, 2])
+
+
+def _rows(vectors: jax.Array, numbers: jax.Array) -> jax.Array:
+    return jnp.concatenate([vectors, numbers[:, None]], -1)
 
 
 def _passes_on(contacts: Contacts) -> jax.Array:

@@ -262,6 +262,16 @@ struct Contacts {
     return {c.arm_a.plus(gap, c.follows_b), c.arm_b.minus(gap, real(1) - c.follows_b)};
   }
 
+  // Where an impact of two polygons acts: to where both have got and turned since. On what is fixed the point stays on the
+  // other's surface, and a disc has its point below its centre, however it turns.
+  KFN static Arms arms_of_impact(const Bodies& bodies, const Contact& c, Vec2 moved) {
+    if (c.b >= NUM_POLYGONS) return arms_now(bodies, c, moved);
+    Vec2 turn_a = swung(c.arm_a, turn_of_a(bodies, c)), turn_b = swung(c.arm_b, turn_of_b(bodies, c));
+    Vec2 gap = apart(bodies, c, moved) + turn_b - turn_a;
+    if (c.against_fixed) gap = gap.minus(c.normal, c.normal.dot(gap));
+    return {(c.arm_a + turn_a).plus(gap, c.follows_b), (c.arm_b + turn_b).minus(gap, real(1) - c.follows_b)};
+  }
+
   KFN void reset_impulses(int k) {
     list[k].impulse_normal = list[k].impulse_tangent = real(0);
     surfaces.reset_impulses(k);
@@ -368,7 +378,9 @@ struct Contacts {
       Pair pair = Pair::of(bodies, c.a, c.b);
       Vec2 moved = Contacts::moved(bodies, c);
       real separation = current_separation(bodies, c, moved);
-      Arms arms = arms_now(bodies, c, moved);
+      bool shares = active.shares(c.a, c.b);
+      if (shares) c.is_impact = true;
+      Arms arms = c.is_impact && round == 0 ? arms_of_impact(bodies, c, moved) : arms_now(bodies, c, moved);
       // With bias the sub-step is to come, in the relax pass it is past.
       if (HAS_KINEMATIC_BODIES && c.against_kinematic)
         arms = carried_arms(bodies, c, moved, (use_bias ? real(0.5) : real(-0.5)) / soft.inverse_h);
@@ -389,8 +401,6 @@ struct Contacts {
         bias = Fused::of(mass_scale, closes_by(pair, c, arms, soft), bias);
       real vn = c.normal.dot(pair.relative(arms.a, arms.b));
       bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
-      bool shares = active.shares(c.a, c.b);
-      if (shares) c.is_impact = true;
       if (c.is_impact && round == 0) {
         unsigned int jointed[JOINT_WORDS];
         bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
@@ -573,17 +583,18 @@ struct Contacts {
       int fastest = -1;
       real speed = SETTLED_SPEED;
       for (int i = 0; i < count; ++i) {
-        real closing = passes_on(list[i]) && is_of(list[i], island) ? -normal_speed(bodies, list[i]) : real(0);
-        list[i].approach = -closing;
-        if (closing <= speed) continue;
-        speed = closing;
+        Contact& c = list[i];
+        if (!passes_on(c) || !is_of(c, island)) continue;
+        c.approach = normal_speed(bodies, c);
+        if (-c.approach <= speed) continue;
+        speed = -c.approach;
         fastest = i;
       }
       if (fastest < 0) break;
       const Contact& first = list[fastest];
       if (impact == 0 && first.bounce > real(0)) factor = Fast::divide(first.bounce, first.restitution * speed);
       unsigned int hit[SHAPE_WORDS];
-      collide_at_once(bodies, (real(1) - SIMULTANEOUS_SHARE) * speed, hit);
+      collide_at_once(bodies, island, (real(1) - SIMULTANEOUS_SHARE) * speed, hit);
       for (int word = 0; word < SHAPE_WORDS; ++word) {
         again[word] |= once[word] & hit[word];
         once[word] |= hit[word];
@@ -599,21 +610,19 @@ struct Contacts {
     }
   }
 
-  // What approaches at `speed` or faster leaves with its restitution, all at once: pass after pass until no contact changes
-  // by much. Marks its bodies.
-  KFN void collide_at_once(Bodies& bodies, real speed, unsigned int* hit) {
+  // What approaches at `speed` or faster in an island leaves with its restitution, all at once: pass after pass until no
+  // contact changes by much. Marks its bodies.
+  KFN void collide_at_once(Bodies& bodies, const unsigned int* island, real speed, unsigned int* hit) {
     real given[NUM_CONTACTS + 1];
     Bodies::clear(hit);
-    for (int i = 0; i < count; ++i) {
-      given[i] = real(0);
-      if (-list[i].approach >= speed) bodies.add_dynamic(hit, list[i].a, list[i].b);
-    }
     bool is_settled = false;
     for (int pass = 0; pass < MAX_IMPACTS && !is_settled; ++pass) {
       is_settled = true;
       for (int i = 0; i < count; ++i) {
         const Contact& c = list[i];
-        if (-c.approach < speed) continue;
+        if (!passes_on(c) || !is_of(c, island) || -c.approach < speed) continue;
+        if (pass == 0) given[i] = real(0);
+        bodies.add_dynamic(hit, c.a, c.b);
         Pair pair = Pair::of(bodies, c.a, c.b);
         real wrong = c.normal.dot(pair.relative(c.arm_a, c.arm_b)) + c.restitution * c.approach;
         real total = Math::max(given[i] - wrong * pair.mass(c.arm_a, c.arm_b, c.normal), real(0));
