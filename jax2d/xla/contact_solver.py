@@ -187,7 +187,10 @@ def solve_soft(
         of_first = (first.contact.impulse_normal, first.contact.impulse_tangent)
         return (velocities, joint_impulses, own), (*totals, *of_first, included & is_impact & (own.change > large))
 
-    rows = rows_now(bodies, contacts, ahead, is_impact=contacts.is_impact)
+    rows = rows_now(bodies, contacts, ahead)
+    is_placed = (contacts.is_impact & ~contacts.kinematic_a & ~contacts.kinematic_b)[:, None]
+    arm_a, arm_b = choose(is_placed, arms_of_impact(bodies, contacts), (rows.arm_a, rows.arm_b))
+    rows = rows._replace(arm_a=arm_a, arm_b=arm_b)
     foreseen = use_bias & (~contacts.of_disc | contacts.disc_on_face)
     face = Face(
         is_of_a=contacts.follows_b > 0.5,
@@ -350,13 +353,10 @@ def rows_of(contacts: Contacts) -> Row:
     return Row(*(getattr(contacts, name) for name in Row._fields))
 
 
-def rows_now(bodies: Bodies, contacts: Contacts, ahead: Scalar, *, is_impact: jax.Array | None = None) -> Row:
+def rows_now(bodies: Bodies, contacts: Contacts, ahead: Scalar) -> Row:
     """Rows as the bodies stand now; `rows_of` has them as they stood when the contacts were found. `ahead` [] s: see
-    `carried_arms`. is_impact [K] bool: impacts and bounces; None: as if there were none."""
+    `carried_arms`."""
     arm_a, arm_b = carried_arms(bodies, contacts, *arms_now(bodies, contacts), ahead)
-    if is_impact is not None:
-        is_placed = (is_impact & ~contacts.kinematic_a & ~contacts.kinematic_b)[:, None]
-        arm_a, arm_b = choose(is_placed, arms_of_impact(bodies, contacts), (arm_a, arm_b))
     return rows_of(contacts)._replace(
         arm_a=arm_a,
         arm_b=arm_b,

@@ -156,10 +156,9 @@ def from_points(
     is_impact |= (is_second & jnp.roll(is_impact, 1)) | jnp.roll(is_second & is_impact, -1)  # both points or none
     if rules.is_soft:
         hard = _hits_hard(points, approach, geometry.core[a], geometry.core[b], params, dt)
-        bounces = hits(restitution, approach, params) & (-approach * dt > points.separation)
+        bounces = are_discs & ~against_fixed & hits(restitution, approach, params)
         of_centres = bodies.velocities.velocity[b] - bodies.velocities.velocity[a]
-        is_aside = are_discs & ~against_fixed & _end_aside(points, of_centres, d, dt)
-        bounces &= (b < context.capacity.polygons) | is_aside
+        bounces &= _meet_aside(points, approach, of_centres, d, dt)
         is_unsteady = points.exists & (hard | bounces)
         unsteady |= jnp.any((pair.is_a | pair.is_b) & is_unsteady[:, None], axis=0) & bodies.moves
     return Contacts(
@@ -270,10 +269,11 @@ def hits(restitution: jax.Array, approach: jax.Array, params: SolverNumbers) -> 
     return (restitution > 0) & (approach <= -params.restitution_threshold)
 
 
-def _end_aside(points: Points, velocity: jax.Array, d: jax.Array, dt: Scalar) -> jax.Array:
-    """Returns True where discs are beside each other's line when the step ends: an impulse would act at one point of
-    both then, and turn them. d, velocity [K, 2]: of b against a."""
-    return jnp.abs(vec2.cross(points.normal, velocity)) * dt > C.aside_share * vec2.dot(points.normal, d)
+def _meet_aside(points: Points, approach: jax.Array, velocity: jax.Array, d: jax.Array, dt: Scalar) -> jax.Array:
+    """Returns True where discs meet in the rest of the step and are beside each other's line when it ends: an impulse
+    would act at one point of both then, and turn them. d, velocity [K, 2]: of b against a."""
+    aside = jnp.abs(vec2.cross(points.normal, velocity))
+    return (-approach * dt > points.separation) & (aside * dt > C.aside_share * vec2.dot(points.normal, d))
 
 
 def _of_extended_shapes(

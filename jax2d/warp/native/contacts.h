@@ -126,7 +126,7 @@ struct Contacts {
         c.is_second = SOFT_STEP && p > 0 && count > 1 && list[count - 2].key >> FEATURE_BITS == pair_key >> FEATURE_BITS;
         if (c.is_second) c.is_impact = list[count - 2].is_impact = c.is_impact | list[count - 2].is_impact;
         if (SOFT_STEP) may_bounce |= hits(c, threshold);
-        if (ahead) is_unsteady |= hits_hard(geometry, c, reach, dt) || bounces_elsewhere(bodies, c, d, threshold, dt);
+        if (ahead) is_unsteady |= hits_hard(geometry, c, reach, dt) || bounces_aside(bodies, c, d, threshold, dt);
       }
       if (is_unsteady) bodies.add_moving(unsteady, a, b);
     }
@@ -222,15 +222,12 @@ struct Contacts {
     return -c.approach * dt > distance;
   }
 
-  // Whether what bounces in what is left of the step would not be where it does when the step ends, and bounces are given:
-  // a polygon that has been stopped turns on, and free discs are beside each other's line then, so that an impulse at one
-  // point would turn them.
-  KFN static bool bounces_elsewhere(const Bodies& bodies, const Contact& c, Vec2 d, real threshold, real dt) {
-    if (!HAS_RESTITUTION || !hits(c, threshold) || -c.approach * dt <= c.separation) return false;
-    if (c.b < NUM_POLYGONS) return true;
-    if (!are_discs(c.a) || c.against_fixed) return false;
+  // Whether two free discs bounce in what is left of the step and are beside each other's line when it ends: their
+  // impulse would act at one point, and turn them.
+  KFN static bool bounces_aside(const Bodies& bodies, const Contact& c, Vec2 d, real threshold, real dt) {
+    if (!HAS_RESTITUTION || !are_discs(c.a) || c.against_fixed || !hits(c, threshold)) return false;
     real aside = Math::abs(c.normal.cross(bodies.velocity(c.b) - bodies.velocity(c.a)));
-    return aside * dt > ASIDE_SHARE * c.normal.dot(d);
+    return -c.approach * dt > c.separation && aside * dt > ASIDE_SHARE * c.normal.dot(d);
   }
 
   KFN static real mix_friction(real a, real b, const Column& params) {
@@ -383,9 +380,7 @@ struct Contacts {
       real separation = current_separation(bodies, c, moved);
       bool shares = active.shares(c.a, c.b);
       if (shares) c.is_impact = true;
-      bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
-      bool is_placed = bounces || c.is_impact;
-      Arms arms = is_placed ? arms_of_impact(bodies, c, moved) : arms_now(bodies, c, moved);
+      Arms arms = c.is_impact && round == 0 ? arms_of_impact(bodies, c, moved) : arms_now(bodies, c, moved);
       // With bias the sub-step is to come, in the relax pass it is past.
       if (HAS_KINEMATIC_BODIES && c.against_kinematic)
         arms = carried_arms(bodies, c, moved, (use_bias ? real(0.5) : real(-0.5)) / soft.inverse_h);
@@ -405,6 +400,7 @@ struct Contacts {
       if (use_bias && (c.b < NUM_POLYGONS || c.disc_on_face))
         bias = Fused::of(mass_scale, closes_by(pair, c, arms, soft), bias);
       real vn = c.normal.dot(pair.relative(arms.a, arms.b));
+      bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
       if (c.is_impact && round == 0) {
         unsigned int jointed[JOINT_WORDS];
         bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
@@ -425,7 +421,7 @@ struct Contacts {
         continue;
       }
       real mass = c.mass_normal, mass_tangent = c.mass_tangent;
-      if (!c.against_fixed || is_placed) {
+      if (!c.against_fixed) {
         if (!bounces || round == 1) mass = pair.mass(arms.a, arms.b, c.normal);
         if (bounces) c.mass_normal = mass;
         mass_tangent = pair.mass(arms.a, arms.b, c.normal.right());
