@@ -94,8 +94,9 @@ def bounce(
             friction_applied = now.friction_applied | with_friction
             return Round(bodies, joints, contacts, targets, going, settled, friction_applied), None
 
-        rows = rows_now(bodies, contacts, -0.5 * params.h, bounces=rebound_target > 0)
-        targets = BounceTargets(rebound_target, rows.mass_normal, contacts.approach)
+        targets = BounceTargets(
+            rebound_target, rows_now(bodies, contacts, -0.5 * params.h).mass_normal, contacts.approach
+        )
         going = islands.whole(marked(bodies, contacts.pair, rebound_target > 0))
         no = jnp.zeros_like(going)
         start = Round(bodies, joints, contacts, targets, going, settled=no, friction_applied=no)
@@ -223,7 +224,7 @@ def solve_bounces(
 
     is_left_out = skips_bounces(contacts, separation) | ~active.includes(contacts.pair)
     has_friction = has_one_of(contacts.pair, with_friction)
-    rows = rows_now(bodies, contacts, -0.5 * params.h, bounces=targets.speed > 0)
+    rows = rows_now(bodies, contacts, -0.5 * params.h)
     velocities, (normal, tangent, rolling, targets, unsettled) = jax.lax.scan(
         solve, bodies.velocities, (rows, targets, apart, is_left_out, has_friction)
     )

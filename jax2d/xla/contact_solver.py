@@ -55,19 +55,28 @@ def moved_apart(bodies: Bodies, contacts: Contacts) -> jax.Array:
 
 
 def arms_now(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
-    """Arms from both centres to where impulses act, [K, 2] m each. Surfaces move and turn with their bodies; a disc has
-    its point below its centre, however it turns. Where both bodies can move it is one point: an impulse at two points
-    would change what both have of angular momentum. What is fixed takes any, so that the other's own surface is the
-    point."""
+    """Arms from both centres to where impulses act, [K, 2] m each. Where both bodies can move it is one point, wherever
+    they have gone since: an impulse at two points would change what both have of angular momentum. What is fixed takes
+    any, so that the other's own surface is the point."""
+    apart = contacts.gap + moved_apart(bodies, contacts)
+    apart = jnp.where(contacts.against_fixed[:, None], 0, apart)
+    share = contacts.follows_b[:, None]
+    return contacts.arm_a + apart * share, contacts.arm_b - apart * (1 - share)
+
+
+def arms_of_impact(bodies: Bodies, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
+    """`arms_now` of an impact of two polygons: to where both have got and turned since. On what is fixed the point
+    stays on the other's surface. A disc has its point below its centre, however it turns."""
     turn_a, turn_b = turned_arms(bodies, contacts)
-    turn_b = jnp.where(contacts.of_disc[:, None], 0, turn_b)
     gap = contacts.gap + moved_apart(bodies, contacts) + turn_b - turn_a
     along = contacts.normal * vec2.dot(contacts.normal, gap)[:, None]
     gap = jnp.where(contacts.against_fixed[:, None], gap - along, gap)
-    share = contacts.follows_b[:, None]
-    arms = contacts.arm_a + turn_a + gap * share, contacts.arm_b + turn_b - gap * (1 - share)
-    is_own = (contacts.of_disc & contacts.against_fixed)[:, None]
-    return choose(is_own, (contacts.arm_a, contacts.arm_b), arms)
+    share, plain = contacts.follows_b[:, None], contacts.of_disc[:, None]
+    of_discs = arms_now(bodies, contacts)
+    return (
+        jnp.where(plain, of_discs[0], contacts.arm_a + turn_a + gap * share),
+        jnp.where(plain, of_discs[1], contacts.arm_b + turn_b - gap * (1 - share)),
+    )
 
 
 def carried_arms(
@@ -82,10 +91,9 @@ def carried_arms(
         return arm + vec2.left(arm) * (pick(body, bodies.velocities.omega) * ahead)[:, None]
 
     pair = contacts.pair
-    below_b, below_a = contacts.arm_a + apart + arm_b - contacts.arm_b, contacts.arm_b - apart + arm_a - contacts.arm_a
     return (
-        jnp.where(contacts.kinematic_a[:, None], turned(below_b, pair.is_a), arm_a),
-        jnp.where(contacts.kinematic_b[:, None], turned(below_a, pair.is_b), arm_b),
+        jnp.where(contacts.kinematic_a[:, None], turned(arm_a + apart, pair.is_a), arm_a),
+        jnp.where(contacts.kinematic_b[:, None], turned(arm_b - apart, pair.is_b), arm_b),
     )
 
 
@@ -180,6 +188,9 @@ def solve_soft(
         return (velocities, joint_impulses, own), (*totals, *of_first, included & is_impact & (own.change > large))
 
     rows = rows_now(bodies, contacts, ahead)
+    is_placed = (contacts.is_impact & ~contacts.kinematic_a & ~contacts.kinematic_b)[:, None]
+    arm_a, arm_b = choose(is_placed, arms_of_impact(bodies, contacts), (rows.arm_a, rows.arm_b))
+    rows = rows._replace(arm_a=arm_a, arm_b=arm_b)
     foreseen = use_bias & (~contacts.of_disc | contacts.disc_on_face)
     face = Face(
         is_of_a=contacts.follows_b > 0.5,
@@ -342,20 +353,16 @@ def rows_of(contacts: Contacts) -> Row:
     return Row(*(getattr(contacts, name) for name in Row._fields))
 
 
-def rows_now(bodies: Bodies, contacts: Contacts, ahead: Scalar, *, bounces: jax.Array | None = None) -> Row:
+def rows_now(bodies: Bodies, contacts: Contacts, ahead: Scalar) -> Row:
     """Rows as the bodies stand now; `rows_of` has them as they stood when the contacts were found. `ahead` [] s: see
-    `carried_arms`. Against what is fixed masses stay those found, which the solver's passes make up for, and so do arms
-    of `bounces` [K] bool: they are given when the step ends, and what was stopped has turned on since. None: nothing
-    bounces."""
-    arm_a, arm_b = arms_now(bodies, contacts)
-    if bounces is not None:
-        is_found = (contacts.against_fixed & bounces)[:, None]
-        arm_a, arm_b = choose(is_found, (contacts.arm_a, contacts.arm_b), (arm_a, arm_b))
-    arm_a, arm_b = carried_arms(bodies, contacts, arm_a, arm_b, ahead)
-    now = [pair_mass(contacts.pair, arm_a, arm_b, d) for d in (contacts.normal, vec2.right(contacts.normal))]
-    found = [contacts.mass_normal, contacts.mass_tangent]
-    mass_normal, mass_tangent = choose(contacts.against_fixed, found, now)
-    return rows_of(contacts)._replace(arm_a=arm_a, arm_b=arm_b, mass_normal=mass_normal, mass_tangent=mass_tangent)
+    `carried_arms`."""
+    arm_a, arm_b = carried_arms(bodies, contacts, *arms_now(bodies, contacts), ahead)
+    return rows_of(contacts)._replace(
+        arm_a=arm_a,
+        arm_b=arm_b,
+        mass_normal=pair_mass(contacts.pair, arm_a, arm_b, contacts.normal),
+        mass_tangent=pair_mass(contacts.pair, arm_a, arm_b, vec2.right(contacts.normal)),
+    )
 
 
 def with_impulses(contacts: Contacts, normal: jax.Array, tangent: jax.Array) -> Contacts:

@@ -254,27 +254,22 @@ struct Contacts {
     return (gap + d).minus(c.normal, c.normal.dot(d));
   }
 
-  // Where a contact acts as its bodies stand, and the distance of both surfaces there.
-  struct Place {
-    Arms arms;
-    real separation;
-  };
-
-  // Surfaces move and turn with their bodies; the normal stays as it was when the contact was found, and a disc has its point
-  // below its centre, however it turns. Where both bodies can move, arms lead to one point: an impulse at two points would
+  // Where both bodies can move, arms lead to one point, wherever they have gone since: an impulse at two points would
   // change what both have of angular momentum. What is fixed takes any, so that the other's own surface is the point.
-  KFN static Place place_now(const Bodies& bodies, const Contact& c) {
-    Vec2 moved = bodies.delta(c.b) - bodies.delta(c.a), none = {real(0), real(0)};
-    Vec2 turn_a = bodies.moves(c.a) ? swung(c.arm_a, turn_of_a(bodies, c)) : none;
-    Vec2 turn_b = bodies.moves(c.b) ? swung(c.arm_b, turn_of_b(bodies, c)) : none;
-    real separation = c.separation + (moved + turn_b - turn_a).dot(c.normal);
-    bool has_disc = c.b >= NUM_POLYGONS;
-    if (has_disc && c.against_fixed) return {{c.arm_a, c.arm_b}, separation};
-    if (has_disc) turn_b = none;
+  KFN static Arms arms_now(const Bodies& bodies, const Contact& c, Vec2 moved) {
+    if (c.against_fixed) return {c.arm_a, c.arm_b};
+    Vec2 gap = apart(bodies, c, moved);
+    return {c.arm_a.plus(gap, c.follows_b), c.arm_b.minus(gap, real(1) - c.follows_b)};
+  }
+
+  // Where an impact of two polygons acts: to where both have got and turned since. On what is fixed the point stays on the
+  // other's surface, and a disc has its point below its centre, however it turns.
+  KFN static Arms arms_of_impact(const Bodies& bodies, const Contact& c, Vec2 moved) {
+    if (c.b >= NUM_POLYGONS) return arms_now(bodies, c, moved);
+    Vec2 turn_a = swung(c.arm_a, turn_of_a(bodies, c)), turn_b = swung(c.arm_b, turn_of_b(bodies, c));
     Vec2 gap = apart(bodies, c, moved) + turn_b - turn_a;
     if (c.against_fixed) gap = gap.minus(c.normal, c.normal.dot(gap));
-    Vec2 a = c.arm_a + turn_a, b = c.arm_b + turn_b;
-    return {{a.plus(gap, c.follows_b), b.minus(gap, real(1) - c.follows_b)}, separation};
+    return {(c.arm_a + turn_a).plus(gap, c.follows_b), (c.arm_b + turn_b).minus(gap, real(1) - c.follows_b)};
   }
 
   KFN void reset_impulses(int k) {
@@ -285,7 +280,7 @@ struct Contacts {
   // All that contact k exerts, where the bodies are now.
   KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {
     const Contact& c = list[k];
-    Arms arms = place_now(bodies, c).arms;
+    Arms arms = arms_now(bodies, c, moved(bodies, c));
     pair.apply_impulse(arms.a, arms.b, (c.normal * c.impulse_normal).plus(c.normal.right(), c.impulse_tangent));
     surfaces.warm_start(pair, k);
   }
@@ -295,12 +290,12 @@ struct Contacts {
 
   // On a kinematic body the place where the other's surface is, `ahead` seconds from now: in the middle of a sub-step the
   // velocity there is the mean of how the place moves, so that what a turntable carries drifts neither out nor in.
-  KFN static Arms carried_arms(const Bodies& bodies, const Contact& c, Arms arms, real ahead) {
-    Vec2 gap = apart(bodies, c, moved(bodies, c));
+  KFN static Arms carried_arms(const Bodies& bodies, const Contact& c, Vec2 moved, real ahead) {
+    Vec2 gap = apart(bodies, c, moved);
     bool is_a = bodies.is_kinematic(c.a);
-    Vec2 arm = is_a ? c.arm_a + gap + arms.b - c.arm_b : c.arm_b - gap + arms.a - c.arm_a;
+    Vec2 arm = is_a ? c.arm_a + gap : c.arm_b - gap;
     arm = arm.plus(arm.left(), bodies.omega(is_a ? c.a : c.b) * ahead);
-    return is_a ? Arms{arm, arms.b} : Arms{arms.a, arm};
+    return is_a ? Arms{arm, c.arm_b} : Arms{c.arm_a, arm};
   }
 
   // J, what the moving surface of contact i has done to the bodies in this sub-step of h.
@@ -311,7 +306,7 @@ struct Contacts {
     if (!HAS_KINEMATIC_BODIES || !c.against_kinematic) return work;
     bool is_a = bodies.is_kinematic(c.a);
     int k = is_a ? c.a : c.b;
-    Arms arms = carried_arms(bodies, c, place_now(bodies, c).arms, real(-0.5) * h);
+    Arms arms = carried_arms(bodies, c, moved(bodies, c), real(-0.5) * h);
     Vec2 impulse_on_b = c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent;
     real done = impulse_on_b.dot(bodies.velocity(k) + (is_a ? arms.a : arms.b).left() * bodies.omega(k));
     return work + (is_a ? done : -done);
@@ -320,7 +315,6 @@ struct Contacts {
   KFN void warm_start(Bodies& bodies) {
     for (int i = 0; i < count; ++i) {
       if (!lasts(list[i])) reset_impulses(i);
-      if (list[i].impulse_normal == real(0) && list[i].impulse_tangent == real(0) && !HAS_ROLLING_RESISTANCE) continue;
       Pair pair = Pair::of(bodies, list[i].a, list[i].b);
       apply_impulses(bodies, pair, i);
       pair.write_back(bodies);
@@ -343,6 +337,13 @@ struct Contacts {
     return speed < -RESTING_SPEED ? speed : real(0);
   }
 
+  KFN static real current_separation(const Bodies& bodies, const Contact& c, Vec2 moved) {
+    // Surfaces move and turn with their bodies; the normal stays as it was at the start of the step.
+    Vec2 apart = moved;
+    if (bodies.moves(c.b)) apart = apart + swung(c.arm_b, turn_of_b(bodies, c));
+    if (bodies.moves(c.a)) apart = apart - swung(c.arm_a, turn_of_a(bodies, c));
+    return c.separation + apart.dot(c.normal);
+  }
   // On a face the point of a disc stays below its centre, and those of two discs between their centres: turned with one
   // that rolls it would rise, and the disc sink.
   KFN static real turn_of_a(const Bodies& bodies, const Contact& c) { return are_discs(c.a) ? real(0) : bodies.turn(c.a); }
@@ -375,16 +376,14 @@ struct Contacts {
       Contact& c = list[i];
       if (active.leaves_out(c.a, c.b)) continue;
       Pair pair = Pair::of(bodies, c.a, c.b);
-      Place place = place_now(bodies, c);
-      real separation = place.separation;
+      Vec2 moved = Contacts::moved(bodies, c);
+      real separation = current_separation(bodies, c, moved);
       bool shares = active.shares(c.a, c.b);
       if (shares) c.is_impact = true;
-      bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
-      // A bounce is given when the step ends: what was stopped has turned on since.
-      Arms arms = bounces && c.against_fixed ? Arms{c.arm_a, c.arm_b} : place.arms;
+      Arms arms = c.is_impact && round == 0 ? arms_of_impact(bodies, c, moved) : arms_now(bodies, c, moved);
       // With bias the sub-step is to come, in the relax pass it is past.
       if (HAS_KINEMATIC_BODIES && c.against_kinematic)
-        arms = carried_arms(bodies, c, arms, (use_bias ? real(0.5) : real(-0.5)) / soft.inverse_h);
+        arms = carried_arms(bodies, c, moved, (use_bias ? real(0.5) : real(-0.5)) / soft.inverse_h);
       // A disc that has not come yet is hit in the next step, by what then has left.
       if (HAS_RESTITUTION && round > 0 && c.b >= NUM_POLYGONS && separation > real(0) && c.restitution > real(0) && c.max_impulse == real(0)) continue;
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
@@ -401,6 +400,7 @@ struct Contacts {
       if (use_bias && (c.b < NUM_POLYGONS || c.disc_on_face))
         bias = Fused::of(mass_scale, closes_by(pair, c, arms, soft), bias);
       real vn = c.normal.dot(pair.relative(arms.a, arms.b));
+      bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
       if (c.is_impact && round == 0) {
         unsigned int jointed[JOINT_WORDS];
         bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
@@ -663,7 +663,7 @@ struct Contacts {
                            (bodies.inverse_mass(c.b) > real(0) ? real(1) : real(0)));
     real a = pull.dot(c.normal), u = -c.approach;
     real half = real(0.5) * a * h;
-    real fallen = c.separation - place_now(bodies, c).separation;
+    real fallen = c.separation - current_separation(bodies, c, moved(bodies, c));
     real twice_energy = u * u + real(2) * half * u + real(2) * a * fallen;
     return Fast::root(Math::max(half * half + twice_energy, real(0))) + half;
   }

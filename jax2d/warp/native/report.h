@@ -69,7 +69,7 @@ struct Report {
       Vec2 halfway = on_a + (bodies.position[c.b] - bodies.position[c.a] + moved + on_b - on_a) * real(0.5);
       values.set2(OUT_CONTACT_POINT + 2 * s, bodies.position[c.a] + bodies.delta(c.a) + halfway);
       values.set2(OUT_CONTACT_NORMAL + 2 * s, c.normal);
-      values.set(OUT_CONTACT_SEPARATION + s, Contacts::place_now(bodies, c).separation);
+      values.set(OUT_CONTACT_SEPARATION + s, Contacts::current_separation(bodies, c, moved));
     }
   }
 
