@@ -89,7 +89,6 @@ def _collide_at_once(
 ) -> Velocities:
     """The chosen contacts, which close at `closing` [K] m/s, leave with their restitution, all at once: pass after pass
     until none of an island changes by much of its `speed` [K] m/s."""
-
     pair = contacts.pair
     zero = jax.tree.map(jnp.zeros_like, pair_velocities(pair, velocities))
     unit = apply_impulse(zero, pair, contacts.arm_a, contacts.arm_b, contacts.normal)
