@@ -114,19 +114,16 @@ class Constants:
         "0.1: a house of cards falls; 0.4: what an impact left behind throws piles apart",
     )
     energy_passes: int = _constant(
-        12,
+        4,
         "a sub-step",
-        "relax passes are repeated so often where an island has gained energy",
-        "0: what is jammed and slips free is thrown, at 5 m/s mostly and at 25 at worst",
+        "relax passes are repeated so often where an island has gained energy, which is bounded then",
+        "0: shares in what is jammed are coarse; 12: the same, for more time",
     )
-    energy_passes_before_reset: int = _constant(
-        8,
-        "a sub-step",
-        "at this one warm-start impulses are reset, and velocities are those at the start of the sub-step",
-        "1: piles lose the impulses that bear them; more: time only",
-    )
-    reset_gain: float = _constant(
-        0.1, "J/kg", "what gains less has no such pass", "0.02: a press lets go; 0.5: jams leave at 4 m/s, not 2"
+    kept_gain: float = _constant(
+        0.1,
+        "J/kg",
+        "impulses that give as much more are kept for a warm start",
+        "0: a press lets go; 1: jams are thrown",
     )
     slack_rate: float = _constant(
         5.0, "1/s", "a gain in energy that is left", "0: several times the passes, for nothing that is seen"

@@ -8,7 +8,6 @@ another place of the bodies are far off; bodies that jam do that. It is solved a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -18,7 +17,6 @@ from jax2d.constants import CONSTANTS as C
 from jax2d.solver_numbers import Scalar
 from jax2d.xla import bodies as bodies_of
 from jax2d.xla import contact_solver, vec2
-from jax2d.xla import contacts as contacts_of
 from jax2d.xla import joints as joints_of
 from jax2d.xla import springs as springs_of
 from jax2d.xla.bodies import Bodies, Pair, Velocities
@@ -102,18 +100,11 @@ def energy_bound(bodies: Bodies, v_substep_start: Velocities, drift: jax.Array, 
     return EnergyBound(before * (1 + h * C.slack_rate) + h * C.slack_power * mass, drift, h)
 
 
-def gains_energy(
-    islands: Islands,
-    bodies: Bodies,
-    joints: Joints,
-    rows: Constraints,
-    contacts: Contacts,
-    bound: EnergyBound,
-    spare: Scalar,
+def energy_gained(
+    islands: Islands, bodies: Bodies, joints: Joints, rows: Constraints, contacts: Contacts, bound: EnergyBound
 ) -> jax.Array:
-    """[n] bool, bodies of islands that a contact holds and that have gained more than `spare` J/kg."""
-    mass = vec2.inverse_or_zero(bodies.inverse_mass)
-    gain = bodies_of.kinetic_energy(bodies, bodies.velocities, bound.drift) - bound.energy - spare * mass
+    """[n] J, what the island of each body has more than it may have; 0: nothing, or no contact holds it."""
+    gain = bodies_of.kinetic_energy(bodies, bodies.velocities, bound.drift) - bound.energy
     work = (
         (contacts.pair, contact_solver.surface_work(bodies, contacts, bound.h)),
         (joints.pair, joints_of.motor_work(bodies, joints, rows) + joints_of.kinematic_work(bodies, joints, rows)),
@@ -125,49 +116,77 @@ def gains_energy(
     gain, work = islands.sums(gain), islands.sums(by_body(bodies, work))
     holding = by_body(bodies, ((contacts.pair, contacts.key >= 0),)) > 0
     is_held = jnp.any(islands.together & holding, axis=1)
-    return bodies.is_dynamic & is_held & (gain > 0) & (gain > work)
+    return jnp.where(bodies.is_dynamic & is_held & (gain > 0), jnp.maximum(gain - work, 0), 0)
 
 
-def reset_impulses(
-    islands: Islands, bodies: Bodies, joints: Joints, contacts: Contacts, v_substep_start: Velocities, which: jax.Array
+def limit_gains(
+    islands: Islands,
+    solved: tuple[Bodies, Joints, Contacts],
+    v_substep_start: Velocities,
+    drift: jax.Array,
+    gains: jax.Array,
 ) -> tuple[Bodies, Joints, Contacts]:
-    """Resets impulses of contacts and springs on bodies of `which` [n] bool, whole islands.
+    """Bounds the energy of islands that have gained `gains` [n] J and that no pass has brought to rest.
 
-    What is anchored gets the velocities that the sub-step began with, and what its motors gave. Elsewhere that would
-    change angular momentum, since bodies have moved: impulses are taken back where they are.
+    Their bodies get the share of all that contacts and joints have changed in the sub-step that leaves them what they
+    may have. Impulses of contacts and springs, for the next warm start, keep more: what presses goes on to press.
     """
-    contacts_on, springs_on = (
-        jnp.any((pair.is_a | pair.is_b) & which, axis=-1) for pair in (contacts.pair, joints.springs.pair)
-    )
+    bodies, joints, contacts = solved
+    mass, inertia = vec2.inverse_or_zero(bodies.inverse_mass), vec2.inverse_or_zero(bodies.inverse_inertia)
+    start = _turned(islands, bodies, v_substep_start)
+    now = bodies.velocities
+    changed, spun = now.velocity - start.velocity, now.omega - start.omega
+    linear = islands.sums(mass * vec2.dot(start.velocity - drift, changed) + inertia * start.omega * spun)
+    quadratic = islands.sums(0.5 * (mass * vec2.dot(changed, changed) + inertia * spun * spun))
+    inverse = vec2.inverse_or_zero(quadratic)
 
-    def taken(impulses: jax.Array, on: jax.Array) -> jax.Array:
-        return jnp.where(joints_of.like(on, impulses), -impulses, 0)
+    def share(left_out: jax.Array) -> jax.Array:
+        half = 0.5 * linear * inverse
+        root = vec2.sqrt_or_zero(jnp.maximum(half * half + 1 + 2 * half - left_out * inverse, 0))
+        return jnp.where(gains > 0, jnp.clip(root - half, 0, 1), 1)
 
-    def left(impulses: jax.Array, on: jax.Array) -> jax.Array:
-        return jnp.where(joints_of.like(on, impulses), 0, impulses)
+    left = share(gains)
+    velocity = jnp.where(gains[:, None] > 0, start.velocity + changed * left[:, None], now.velocity)
+    omega = jnp.where(gains > 0, start.omega + spun * left, now.omega)
+    kept = share(gains - C.kept_gain * islands.sums(mass))
 
-    rolling = contacts.rolling_impulse
-    back = contact_solver.apply_impulses(
-        bodies,
+    def scaled(pair: Pair, impulses: jax.Array | None) -> jax.Array | None:
+        its_bodies = (pair.is_a | pair.is_b) & bodies.is_dynamic
+        by = jnp.min(jnp.where(its_bodies, kept, 1), axis=-1)
+        return None if impulses is None else impulses * joints_of.like(by, impulses)
+
+    springs = joints.springs
+    impulses = jax.tree.map(lambda x: scaled(springs.pair, x), springs.impulses)
+    return (
+        bodies._replace(velocities=Velocities(velocity, omega)),
+        joints._replace(springs=springs._replace(impulses=impulses)),
         contacts._replace(
-            impulse_normal=taken(contacts.impulse_normal, contacts_on),
-            impulse_tangent=taken(contacts.impulse_tangent, contacts_on),
-            rolling_impulse=None if rolling is None else taken(rolling, contacts_on),
+            impulse_normal=scaled(contacts.pair, contacts.impulse_normal),
+            impulse_tangent=scaled(contacts.pair, contacts.impulse_tangent),
+            rolling_impulse=scaled(contacts.pair, contacts.rolling_impulse),
         ),
     )
 
-    def changed(change: Callable[[jax.Array, jax.Array], jax.Array]) -> Joints:
-        impulses = jax.tree.map(lambda x: change(x, springs_on), joints.springs.impulses)
-        return joints._replace(springs=joints.springs._replace(impulses=impulses))
 
-    back = springs_of.warm_start(back, changed(taken).springs)
-    restored = which & islands.anchored
-    velocities = Velocities(
-        jnp.where(restored[:, None], v_substep_start.velocity, back.velocities.velocity),
-        jnp.where(restored, v_substep_start.omega, back.velocities.omega),
+def _turned(islands: Islands, bodies: Bodies, v_substep_start: Velocities) -> Velocities:
+    """Velocities that a sub-step began with. Islands that nothing holds are turned, as one piece, to the angular
+    momentum that they have now: bodies have moved since."""
+    mass, inertia = vec2.inverse_or_zero(bodies.inverse_mass), vec2.inverse_or_zero(bodies.inverse_inertia)
+    weights = jnp.where(islands.together, mass[None], 0)  # [n, n] kg
+    total = jnp.sum(weights, axis=1)
+    place = bodies.position + bodies.delta
+    centre = (weights @ place) * vec2.inverse_or_zero(total)[:, None]
+    arm = place - centre
+    now = bodies.velocities
+    momentum = islands.sums(
+        inertia * (now.omega - v_substep_start.omega) + mass * vec2.cross(arm, now.velocity - v_substep_start.velocity)
     )
-    bodies, joints = joints_of.leave_motors(bodies._replace(velocities=velocities), changed(left), restored)
-    return bodies, joints, contacts_of.reset_impulses(contacts, contacts_on)
+    turn = momentum * vec2.inverse_or_zero(islands.sums(inertia + mass * vec2.dot(arm, arm)))
+    turn = jnp.where(islands.anchored | (total == 0), 0, turn)
+    return Velocities(
+        v_substep_start.velocity + vec2.left(arm) * turn[:, None],
+        v_substep_start.omega + jnp.where(bodies.is_dynamic, turn, 0),
+    )
 
 
 def by_body(bodies: Bodies, parts: tuple[tuple[Pair, jax.Array], ...]) -> jax.Array:

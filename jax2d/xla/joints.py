@@ -240,18 +240,6 @@ def without_impulses(joints: Joints) -> Joints:
     return joints._replace(impulses=jax.tree.map(jnp.zeros_like, joints.impulses))
 
 
-def leave_motors(bodies: Bodies, joints: Joints, which: jax.Array) -> tuple[Bodies, Joints]:
-    """Bodies and joints of `which` [n] bool, which have none of its impulses, with those of its motors alone."""
-    on = has_one_of(joints.pair, which) & joints.is_held
-    impulses = jax.tree.map(lambda x: jnp.where(like(on, x), 0, x), joints.impulses)
-    motor = jnp.where(on & ~joints.is_fixed, joints.impulses.angular_impulse, 0)
-    inverse = _inverse_masses(bodies)
-    along = _dense(joints.pair, constraints(bodies, joints).axial)
-    pushed = _unflat(_flat(bodies.velocities) + inverse * joint_system.times(motor, along))
-    impulses = impulses._replace(angular_impulse=jnp.where(on, motor, impulses.angular_impulse))
-    return bodies._replace(velocities=pushed), joints._replace(impulses=impulses)
-
-
 class PlacedJoints(NamedTuple):
     """Rows of the joints and their system, as the bodies stood when it was made."""
 

@@ -336,12 +336,10 @@ def _with_inertia(now: Pass, inverse_inertia: jax.Array) -> Pass:
 
 
 class Relaxed(NamedTuple):
-    """A world without bias, and what has gained energy by that."""
+    """A world without bias, and what the island of each body has gained by that."""
 
-    bodies: Bodies
-    joints: Joints
-    contacts: Contacts
-    gains: jax.Array  # [n] bool
+    solved: Solved
+    gains: jax.Array  # [n] J
 
 
 def _relax(
@@ -357,31 +355,28 @@ def _relax(
 
     rows: of the joints before bodies moved. before: velocities when contacts were found, and those of the sub-step when
     forces had acted and nothing had been solved."""
-    (bodies, joints, contacts), (v_at_detection, v_substep_start) = start, before
-    drift = islands_of.drift(islands, bodies, v_at_detection)
-    bound = islands_of.energy_bound(bodies, v_substep_start, drift, params.h)
-    standing = joints_of.place(bodies, joints)
+    v_at_detection, v_substep_start = before
+    drift = islands_of.drift(islands, start.bodies, v_at_detection)
+    bound = islands_of.energy_bound(start.bodies, v_substep_start, drift, params.h)
+    standing = joints_of.place(start.bodies, start.joints)
 
     def solve(now: Relaxed, index: jax.Array) -> Relaxed:
-        reset = islands_of.reset_impulses(islands, now.bodies, now.joints, now.contacts, v_substep_start, now.gains)
-        is_reset = index == C.energy_passes_before_reset
-        begun = Solved(*choose(is_reset, reset, (now.bodies, now.joints, now.contacts)))
-        end = _solve_passes(begun, islands, params, rules, only=now.gains, sharing=(standing, index > 0))
-        spare = jnp.where(index + 1 == C.energy_passes_before_reset, C.reset_gain, 0)
-        gains = now.gains & islands_of.gains_energy(islands, end[0], end[1], rows, end[2], bound, spare)
-        return Relaxed(*end, gains)
+        gaining = now.gains > 0
+        end = _solve_passes(now.solved, islands, params, rules, only=gaining, sharing=(standing, index > 0))
+        gained = islands_of.energy_gained(islands, end.bodies, end.joints, rows, end.contacts, bound)
+        return Relaxed(end, jnp.where(gaining, gained, 0))
 
     def one_pass(now: Relaxed, index: jax.Array) -> tuple[Relaxed, None]:
-        gains = jnp.any(now.gains)
+        gains = jnp.any(now.gains > 0)
 
         def solved() -> Relaxed:
             return choose(gains, solve(now, index), now)
 
         return jax.lax.cond(in_any_world(gains), solved, lambda: now), None
 
-    first = Relaxed(bodies, joints, contacts, gains=only)
+    first = Relaxed(start, gains=jnp.where(only, jnp.ones_like(bound.energy), 0))
     last, _ = jax.lax.scan(one_pass, first, jnp.arange(1 + C.energy_passes))
-    return Solved(last.bodies, last.joints, last.contacts)
+    return Solved(*islands_of.limit_gains(islands, last.solved, v_substep_start, drift, last.gains))
 
 
 def paper_step(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,9 +75,63 @@ def most_energy(settings: str, backend: str = "warp", num_worlds: int = NUM_WORL
 def test_what_slips_free_is_not_thrown(settings: str, backend: str) -> None:
     # J/kg. Without relax passes that are repeated where energy is gained: 370, more than 10 in half of these worlds.
     # How a jam comes free hangs on the last bit, so that another processor draws other numbers from one distribution:
-    # of 512 worlds the last reaches 1.0, 1.6, 4.8 (draft, standard, fine).
+    # of 512 worlds the last reaches 0.51, 0.50, 0.28 (draft, standard, fine).
     energy = most_energy(settings, backend)
-    assert np.percentile(energy, 95) < 4 and energy.max() < 8
+    assert np.percentile(energy, 95) < 0.5 and energy.max() < 2
+
+
+# Of the hinges of `arm_in_a_corner`, two steps each.
+DRIVEN = [(0, 1, 0), (-1, 0, -1), (0, 1, 0), (-1, -1, -1), (0, 0, 0), (0, 1, 0), (0, 1, 0), (0, 1, 0), (0, 1, 0)]
+
+
+def arm_in_a_corner() -> BuiltWorld:
+    """Two links and a wheel, driven, that run into the corner of floor and wall at 6 m/s. The soak found it."""
+    b = SceneBuilder(Capacity(polygons=5, circles=1, joints=3, thrusters=0))
+    b.add_box(width=5, height=10.4, position=(2.5, -4.8), friction=1.0, fixed=True)
+    b.add_box(width=5, height=5, position=(-2.5, 2.5), friction=1.0, fixed=True)
+
+    def box(width: float, height: float, x: float, y: float, angle: float, **motion: Any) -> int:
+        options = motion | {"friction": 1.0, "category": 2, "mask": 1}  # parts do not touch each other
+        return b.add_box(width=width, height=height, position=(x, y), angle=angle, **options)
+
+    held = box(0.538, 0.196, 0.41233, 1.11577, 5.8273, fixed=True)
+    upper = box(0.53282, 0.61389, 0.585106, 0.820872, 0.493512, velocity=(0.74832, -0.20031), angular_velocity=3.12083)
+    lower = box(0.28223, 0.67147, 0.790997, 0.571631, 1.639713, velocity=(1.6362, 0.05502), angular_velocity=1.56983)
+    at_hand = (0.994132, 0.700377)
+    hand = b.add_circle(
+        radius=0.245855,
+        position=at_hand,
+        velocity=(1.43481, 0.37458),
+        angular_velocity=6.35686,
+        friction=1.0,
+        category=2,
+        mask=1,
+    )
+    b.add_revolute_joint(held, upper, at=(0.647741, 1.061151), motor_speed=2.38752, motor_power=2.1065)
+    b.add_revolute_joint(upper, lower, at=(0.545261, 0.500614), motor_speed=1.87492, motor_power=1.38088)
+    b.add_revolute_joint(lower, hand, at=at_hand, motor_speed=0.79784)
+    return b.build()
+
+
+@pytest.mark.parametrize(
+    ("settings", "backend"), [("standard", "warp"), ("draft", "warp"), ("fine", "warp"), ("standard", "xla")]
+)
+def test_an_arm_that_jams_in_a_corner_is_not_thrown(settings: str, backend: str) -> None:
+    """Friction in the corner asks for more impulse with each pass: 5,057 J/kg in `standard` before energy had a bound.
+    Gravity and motors give 18."""
+    world = arm_in_a_corner()
+    engine = Engine(Capacity(polygons=5, circles=1, joints=3, thrusters=0), settings=preset(settings), backend=backend)
+    shapes, state, most = world.scene.shapes, engine.initial_state(*world), 0.0
+    mass, inertia = (
+        np.divide(1, x, where=x > 0, out=np.zeros_like(x)) for x in (shapes.inverse_mass, shapes.inverse_inertia)
+    )
+    for driven in DRIVEN:
+        controls = dataclasses.replace(engine.no_controls(), motor=np.array(driven, np.float32))
+        for _ in range(2):
+            state, _ = engine.step(world.scene, state, controls)
+            v, w = np.asarray(state.velocity), np.asarray(state.angular_velocity)
+            most = max(most, 0.5 * float((mass * (v**2).sum(-1) + inertia * w**2).sum() / mass.sum()))
+    assert 5 < most < 25
 
 
 def test_a_heavy_body_elsewhere_hides_no_jam() -> None:

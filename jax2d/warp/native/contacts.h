@@ -277,6 +277,12 @@ struct Contacts {
     surfaces.reset_impulses(k);
   }
 
+  KFN void scale_impulses(int k, real share) {
+    list[k].impulse_normal *= share;
+    list[k].impulse_tangent *= share;
+    surfaces.scale_impulses(k, share);
+  }
+
   // All that contact k exerts, where the bodies are now.
   KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {
     const Contact& c = list[k];

@@ -52,37 +52,86 @@ struct Islands {
     if (!bodies.is_dynamic(a) || !bodies.is_dynamic(b)) Bodies::add(anchored, of(bodies, a, b));
   }
 
-  // Resets impulses of contacts and springs on bodies of `which`, in islands. What is anchored gets the velocities that the
-  // sub-step began with, and what its motors gave. Elsewhere that would change angular momentum, since bodies have moved:
-  // impulses are taken back where they are.
-  KFN void reset_impulses(Bodies& bodies, Contacts& contacts, Joints& joints, const unsigned int* which) const {
+  // Bounds the energy of islands of `which` that no pass has brought to rest (`gain`, J): their bodies get the share of all that
+  // contacts and joints have changed in the sub-step that leaves them what they may have. Impulses of contacts and springs, for
+  // the next warm start, keep more: what presses goes on to press.
+  KFN void limit_gains(Bodies& bodies, Contacts& contacts, Joints& joints, const unsigned int* which) {
+    unsigned int members[SHAPE_WORDS];
+    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
+      int island = each.shape;
+      if (first[island] != island) continue;
+      list(bodies, island, members);
+      if (!Bodies::has(anchored, island)) turn_start(bodies, members);
+      Change change = change_of(bodies, members, drift[island]);
+      real share = change.share(gain[island]);
+      for (Bodies::Each member = Bodies::Each::of(members); member.next();) {
+        int i = member.shape;
+        bodies.set_velocity(i, velocity[i] + (bodies.velocity(i) - velocity[i]) * share);
+        bodies.set_omega(i, omega[i] + (bodies.omega(i) - omega[i]) * share);
+      }
+      gain[island] = change.share(gain[island] - KEPT_GAIN * change.mass);
+    }
     for (int k = 0; k < contacts.count; ++k) {
       int a = contacts.list[k].a, b = contacts.list[k].b;
-      if (!Bodies::has(which, bodies.is_dynamic(a) ? a : b)) continue;
-      Pair pair = Pair::reversed(bodies, a, b);
-      contacts.apply_impulses(bodies, pair, k);
-      pair.write_back(bodies);
-      contacts.reset_impulses(k);
+      if (Bodies::has(which, bodies.is_dynamic(a) ? a : b)) contacts.scale_impulses(k, gain[of(bodies, a, b)]);
     }
     for (int k = 0; k < joints.springs.count; ++k) {
       int a = joints.springs.a_of(k), b = joints.springs.b_of(k);
-      if (!Bodies::has(which, bodies.is_dynamic(a) ? a : b)) continue;
-      Pair pair = Pair::reversed(bodies, a, b);
-      joints.springs.apply_impulses(bodies, pair, k);
-      pair.write_back(bodies);
-      joints.springs.reset_impulses(k);
+      if (Bodies::has(which, bodies.is_dynamic(a) ? a : b)) joints.springs.scale_impulses(k, gain[of(bodies, a, b)]);
     }
-    for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
+  }
+
+  // Turns what an island that nothing holds began the sub-step with, as one piece, to the angular momentum that it has now:
+  // bodies have moved since.
+  KFN void turn_start(const Bodies& bodies, const unsigned int* members) {
+    real mass = real(0), inertia = real(0), momentum = real(0);
+    Vec2 centre = {real(0), real(0)};
+    for (Bodies::Each each = Bodies::Each::of(members); each.next();) {
+      mass += bodies.mass(each.shape);
+      centre = centre.plus(place(bodies, each.shape), bodies.mass(each.shape));
+    }
+    if (mass == real(0)) return;  // it turns about a fixed axis
+    centre = centre * Fast::reciprocal(mass);
+    for (Bodies::Each each = Bodies::Each::of(members); each.next();) {
       int i = each.shape;
-      if (!Bodies::has(anchored, first[i])) continue;
-      bodies.set_velocity(i, velocity[i]);
-      bodies.set_omega(i, omega[i]);
+      Vec2 arm = place(bodies, i) - centre;
+      real own = Math::inverse_or_zero(bodies.inverse_inertia(i));
+      inertia += own + bodies.mass(i) * arm.dot(arm);
+      momentum += own * (bodies.omega(i) - omega[i]) + bodies.mass(i) * arm.cross(bodies.velocity(i) - velocity[i]);
     }
-    for (int k = 0; k < joints.count; ++k) {
-      int a = joints.list[k].a, b = joints.list[k].b;
-      if (Bodies::has(which, bodies.is_dynamic(a) ? a : b) && Bodies::has(anchored, of(bodies, a, b)))
-        joints.leave_motor(bodies, k);
+    real turn = Fast::divide(momentum, inertia);
+    for (Bodies::Each each = Bodies::Each::of(members); each.next();) {
+      int i = each.shape;
+      velocity[i] = velocity[i].plus((place(bodies, i) - centre).left(), turn);
+      omega[i] += turn;
     }
+  }
+
+  KFN static Vec2 place(const Bodies& bodies, int i) { return bodies.position[i] + bodies.delta(i); }
+
+  // Of velocities since the sub-step began, of an island: a share s of it changes the energy by linear s + quadratic s^2, J.
+  struct Change {
+    real mass, linear, quadratic;
+
+    // That which leaves out `gain` J.
+    KFN real share(real gain) const {
+      real half = real(0.5) * Fast::divide(linear, quadratic);
+      real whole = real(1) + real(2) * half - Fast::divide(gain, quadratic);
+      return Math::clamp(Fast::root(Math::max(half * half + whole, real(0))) - half, real(0), real(1));
+    }
+  };
+
+  KFN Change change_of(const Bodies& bodies, const unsigned int* members, Vec2 drift) const {
+    Change change = {real(0), real(0), real(0)};
+    for (Bodies::Each each = Bodies::Each::of(members); each.next();) {
+      int i = each.shape;
+      Vec2 dv = bodies.velocity(i) - velocity[i];
+      real dw = bodies.omega(i) - omega[i], inertia = Math::inverse_or_zero(bodies.inverse_inertia(i));
+      change.mass += bodies.mass(i);
+      change.linear += bodies.mass(i) * (velocity[i] - drift).dot(dv) + inertia * omega[i] * dw;
+      change.quadratic += bodies.kinetic_energy(i, dv, dw);
+    }
+    return change;
   }
 
   // Adds the other bodies of their islands to those of a set.
@@ -158,10 +207,9 @@ struct Islands {
       energy[of(bodies, joints.springs.a_of(k), joints.springs.b_of(k))] += share * joints.springs.kinematic_work(bodies, k);
   }
 
-  // Marks the bodies of islands that have gained more than `spare` J/kg, of those marked where `again`. Returns whether
-  // there are any.
-  KFN bool find_gains(const Bodies& bodies, const Contacts& contacts, const Joints& joints, real h, real spare,
-                      bool again, unsigned int* gaining) {
+  // Marks the bodies of islands that have gained energy, of those marked where `again`. Returns whether there are any.
+  KFN bool find_gains(const Bodies& bodies, const Contacts& contacts, const Joints& joints, real h, bool again,
+                      unsigned int* gaining) {
     unsigned int held[SHAPE_WORDS];  // a bit an island, at its first body: a contact holds it
     Bodies::clear(held);
     for (int k = 0; k < contacts.count; ++k) Bodies::add(held, of(bodies, contacts.list[k].a, contacts.list[k].b));
@@ -170,7 +218,7 @@ struct Islands {
       int i = each.shape;
       if (!Bodies::has(held, first[i])) continue;
       real before = kinetic_energy(bodies, i, velocity[i], omega[i]) * (real(1) + h * SLACK_RATE);
-      real slack = (h * SLACK_POWER + spare) * bodies.mass(i);
+      real slack = h * SLACK_POWER * bodies.mass(i);
       gain[first[i]] += kinetic_energy(bodies, i, bodies.velocity(i), bodies.omega(i)) - before - slack;
     }
     bool any = false;

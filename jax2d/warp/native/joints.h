@@ -178,18 +178,6 @@ struct Joints {
     list[k].angular_impulse = list[k].impulse_lower = list[k].impulse_upper = real(0);
   }
 
-  // Of joint k, whose bodies have none of its impulses, that of its motor alone.
-  KFN void leave_motor(Bodies& bodies, int k) {
-    Joint& joint = list[k];
-    real motor = joint.is_fixed() ? real(0) : joint.angular_impulse;
-    reset_impulses(k);
-    if (motor == real(0)) return;
-    Pair pair = Pair::of(bodies, joint.a, joint.b);
-    rows_of(k).push(pair, {real(0), real(0), motor});
-    pair.write_back(bodies);
-    joint.angular_impulse = motor;
-  }
-
   // All that joint k exerts.
   KFN void apply_impulses(const Bodies&, Pair& pair, int k) const {
     const Joint& joint = list[k];

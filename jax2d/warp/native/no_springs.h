@@ -9,7 +9,7 @@ struct Springs {
   KFN void reset_slowed(const Bodies&) {}
   KFN void store(const Column&) const {}
   KFN void prepare(const Bodies&, const unsigned int*) {}
-  KFN void reset_impulses(int) {}
+  KFN void scale_impulses(int, real) {}
   KFN void apply_impulses(const Bodies&, Pair&, int) const {}
   KFN void warm_start(Bodies&) {}
   KFN void solve(Bodies&, const Soft&, bool, bool, ActiveSet&) {}

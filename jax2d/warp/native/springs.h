@@ -130,7 +130,11 @@ struct Springs {
     }
   }
 
-  KFN void reset_impulses(int k) { list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0); }
+  KFN void scale_impulses(int k, real share) {
+    list[k].impulse *= share;
+    list[k].impulse_min *= share;
+    list[k].impulse_max *= share;
+  }
 
   // All that spring k exerts, where the bodies are now.
   KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {

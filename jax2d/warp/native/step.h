@@ -216,14 +216,13 @@ struct World {
       }
       // Joints and other contacts share in an impact.
       if (SHARES_IMPACTS && contacts.active.repeat(passes++ < max_passes, none)) continue;
-      bool would_reset = energy_passes + 1 == ENERGY_PASSES_BEFORE_RESET;
-      bool of_gaining = is_part || energy_passes > 0;
-      if (energy_passes < ENERGY_PASSES && gains_energy(h, would_reset ? RESET_GAIN : real(0), of_gaining, gaining)) {
-        ++energy_passes;
-        passes = 0;
-        contacts.active.begin(true, gaining);
-        if (would_reset) islands.reset_impulses(bodies, contacts, joints, gaining);
-        continue;
+      if (energy_passes <= ENERGY_PASSES && gains_energy(h, is_part || energy_passes > 0, gaining)) {
+        if (energy_passes++ < ENERGY_PASSES) {
+          passes = 0;
+          contacts.active.begin(true, gaining);
+          continue;
+        }
+        islands.limit_gains(bodies, contacts, joints, gaining);
       }
       if (contacts.may_bounce) {
         bounces.add_work(bodies, joints, thrusters, controls, islands, solved, h);
@@ -261,10 +260,10 @@ struct World {
       bounces.max_energy[each.shape] += share * islands.gain[each.shape];
   }
 
-  // More than `spare` J/kg; `of_gaining`: of the islands in it alone.
-  KFN bool gains_energy(real h, real spare, bool of_gaining, unsigned int* gaining) {
+  // `of_gaining`: of the islands in it alone.
+  KFN bool gains_energy(real h, bool of_gaining, unsigned int* gaining) {
     if (contacts.count == 0) return false;
-    return islands.find_gains(bodies, contacts, joints, h, spare, of_gaining, gaining);
+    return islands.find_gains(bodies, contacts, joints, h, of_gaining, gaining);
   }
 
   // Notes who touched, and keeps the impulses for the contacts found next.

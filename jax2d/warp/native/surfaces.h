@@ -44,6 +44,10 @@ struct Surfaces {
     if (HAS_ROLLING_RESISTANCE) rolling_impulse[k] = real(0);
   }
 
+  KFN void scale_impulses(int k, real share) {
+    if (HAS_ROLLING_RESISTANCE) rolling_impulse[k] *= share;
+  }
+
   KFN void load_impulse(int k, const Column& old_impulses, int slot) {
     if (HAS_ROLLING_RESISTANCE) rolling_impulse[k] = old_impulses.get(IMPULSE_ROLLING_IMPULSE + slot);
   }
