@@ -174,7 +174,8 @@ def test_kernel_and_reference_agree_where_everything_bounces(restitution: float)
 
 @pytest.mark.parametrize("friction", [0.0, 1.0])
 def test_bounces_give_a_world_no_energy(friction: float) -> None:
-    """Free shapes, everything elastic: contact by contact, restitution would give up to 10 J/kg at once."""
+    """Free shapes, everything elastic: contact by contact, restitution would give up to 10 J/kg at once. Of 3,072
+    worlds with other velocities one came to have 0.135 J/kg more than it had once."""
     level = levels("m")
     nothing = {name: {"active": np.zeros_like(getattr(level.scene, name).active)} for name in ("joints", "thrusters")}
     frictions = {"friction": np.full_like(level.scene.shapes.friction, friction)}
@@ -201,9 +202,10 @@ def test_bounces_give_a_world_no_energy(friction: float) -> None:
     movable = level.scene.shapes.active & (level.scene.shapes.inverse_mass > 0)
     mass = np.where(movable, 1 / np.maximum(level.scene.shapes.inverse_mass, 1e-9), 0).sum(1)
     settled = np.asarray(energies(start(one, level)), np.float64)[60:] / mass  # levels may start with overlaps
-    gain = np.diff(settled, axis=0).max(0)
+    # An impact may take two steps, and give back in the second what it took in the first: the bound is one over time.
     # What slides past an end is let sink by `grazing_distance`, and lifted again where it is over it: 9.81 x 5 mm.
-    assert gain.max() < 0.1
+    assert (settled.max(0) - settled[0]).max() < 0.1
+    assert settled[-1].mean() > 0.5 * settled[0].mean()  # and they still bounce
 
 
 def assert_agreement(size: str, settings: Settings, scene: Any, state: State, controls: Controls) -> State:
