@@ -47,7 +47,7 @@ def test_a_solution_is_searched_stored_and_played(serve: Any, open_page: OpenPag
     assert str(proof) in panel.inner_text() and "kinetix-dist levels solve" in panel.locator("pre").text_content()
 
 
-@pytest.mark.long  # searches, and trains for about a minute
+@pytest.mark.slow  # searches, and trains for about a minute
 def test_a_level_is_taught_and_its_run_is_on_the_dashboard(serve: Any, open_page: OpenPage, tmp_path: Path) -> None:
     document = json.loads((levels_root() / "m" / "ramp_car.json").read_text())
     file, results = tmp_path / "mine.json", tmp_path / "results"

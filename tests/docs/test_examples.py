@@ -66,7 +66,7 @@ def test_a_level_is_written_trained_on_and_watched(tmp_path: Path) -> None:
     assert (tmp_path / "trained.gif").stat().st_size > 1000
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_level_leads_to_a_delay_curve(tmp_path: Path) -> None:
     printed = run_example("delay_curve.py", "--small", "--to", str(tmp_path))
     assert "35 points of a delay curve" in printed  # five methods of the flow, two of the specialist, five delays

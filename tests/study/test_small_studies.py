@@ -13,7 +13,12 @@ from kinetix_dist.sweep import run_loop
 from tests.study.studies import OF_COMMANDS, OF_TRAINING
 
 pytestmark = pytest.mark.long
-ARMS = [(name, arm.name) for name in OF_TRAINING for arm in find_study(name).as_small.arms]
+SLOW = "compute"  # a program for each number of worlds
+ARMS = [
+    pytest.param(name, arm.name, marks=[pytest.mark.slow] if name == SLOW else [])
+    for name in OF_TRAINING
+    for arm in find_study(name).as_small.arms
+]
 
 
 class _Ended:
