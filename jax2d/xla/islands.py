@@ -2,7 +2,8 @@
 
 What holds takes energy from an island, or none. Where one has more kinetic energy once it is relaxed than the sub-step
 began with, when forces had acted and nothing had been solved, impulses are not solved yet, or warm-start impulses from
-another place of the bodies are far off; bodies that jam do that. It is solved again, alone.
+another place of the bodies are far off; bodies that jam do that. It is solved again, alone, and where that does not
+help its energy is bounded.
 """
 
 from __future__ import annotations
@@ -102,8 +103,9 @@ def energy_bound(bodies: Bodies, v_substep_start: Velocities, drift: jax.Array, 
 
 def energy_gained(
     islands: Islands, bodies: Bodies, joints: Joints, rows: Constraints, contacts: Contacts, bound: EnergyBound
-) -> jax.Array:
-    """[n] J, what the island of each body has more than it may have; 0: nothing, or no contact holds it."""
+) -> tuple[jax.Array, jax.Array]:
+    """[n] J, what the island of each body has more than it may have (0: nothing, or no contact holds it), and the work
+    that motors, springs and what carries have done to it."""
     gain = bodies_of.kinetic_energy(bodies, bodies.velocities, bound.drift) - bound.energy
     work = (
         (contacts.pair, contact_solver.surface_work(bodies, contacts, bound.h)),
@@ -116,44 +118,53 @@ def energy_gained(
     gain, work = islands.sums(gain), islands.sums(by_body(bodies, work))
     holding = by_body(bodies, ((contacts.pair, contacts.key >= 0),)) > 0
     is_held = jnp.any(islands.together & holding, axis=1)
-    return jnp.where(bodies.is_dynamic & is_held & (gain > 0), jnp.maximum(gain - work, 0), 0)
+    return jnp.where(bodies.is_dynamic & is_held & (gain > 0), jnp.maximum(gain - work, 0), 0), work
 
 
 def limit_gains(
     islands: Islands,
     solved: tuple[Bodies, Joints, Contacts],
     v_substep_start: Velocities,
-    drift: jax.Array,
-    gains: jax.Array,
+    bound: EnergyBound,
+    gained: tuple[jax.Array, jax.Array],
 ) -> tuple[Bodies, Joints, Contacts]:
-    """Bounds the energy of islands that have gained `gains` [n] J and that no pass has brought to rest.
+    """Bounds the energy of islands that no pass has brought to rest. gained: see `energy_gained`.
 
     Their bodies get the share of all that contacts and joints have changed in the sub-step that leaves them what they
     may have. Impulses of contacts and springs, for the next warm start, keep more: what presses goes on to press.
     """
-    bodies, joints, contacts = solved
+    (bodies, joints, contacts), (gains, work) = solved, gained
+    too_much = gains > 0
     mass, inertia = vec2.inverse_or_zero(bodies.inverse_mass), vec2.inverse_or_zero(bodies.inverse_inertia)
     start = _turned(islands, bodies, v_substep_start)
     now = bodies.velocities
     changed, spun = now.velocity - start.velocity, now.omega - start.omega
-    linear = islands.sums(mass * vec2.dot(start.velocity - drift, changed) + inertia * start.omega * spun)
+    linear = islands.sums(mass * vec2.dot(start.velocity - bound.drift, changed) + inertia * start.omega * spun) - work
     quadratic = islands.sums(0.5 * (mass * vec2.dot(changed, changed) + inertia * spun * spun))
-    inverse = vec2.inverse_or_zero(quadratic)
+    inverse = vec2.inverse_or_zero(jnp.where(too_much, quadratic, 0))
+    room = islands.sums(bound.energy - bodies_of.kinetic_energy(bodies, start, bound.drift))
+    half = 0.5 * linear * inverse
 
-    def share(left_out: jax.Array) -> jax.Array:
-        half = 0.5 * linear * inverse
-        root = vec2.sqrt_or_zero(jnp.maximum(half * half + 1 + 2 * half - left_out * inverse, 0))
-        return jnp.where(gains > 0, jnp.clip(root - half, 0, 1), 1)
+    def share(room: jax.Array) -> jax.Array:
+        # In a form that loses no digits where the change is far too large.
+        root = vec2.sqrt_or_zero(jnp.maximum(half * half + room * inverse, 0))
+        slow = jnp.where(half > 0, room * inverse * vec2.inverse_or_zero(root + half), root - half)
+        return jnp.where(too_much & (quadratic > 0), jnp.where(slow > 0, jnp.minimum(slow, 1), 0), 1)
 
-    left = share(gains)
-    velocity = jnp.where(gains[:, None] > 0, start.velocity + changed * left[:, None], now.velocity)
-    omega = jnp.where(gains > 0, start.omega + spun * left, now.omega)
-    kept = share(gains - C.kept_gain * islands.sums(mass))
+    left, kept = share(room), share(room + C.kept_gain * islands.sums(mass))
+    has_any = left > 0  # what is not finite has none
+    velocity = start.velocity + jnp.where(has_any[:, None], changed, 0) * left[:, None]
+    omega = start.omega + jnp.where(has_any, spun, 0) * left
+    velocity = jnp.where(too_much[:, None], velocity, now.velocity)
+    omega = jnp.where(too_much, omega, now.omega)
 
     def scaled(pair: Pair, impulses: jax.Array | None) -> jax.Array | None:
         its_bodies = (pair.is_a | pair.is_b) & bodies.is_dynamic
         by = jnp.min(jnp.where(its_bodies, kept, 1), axis=-1)
-        return None if impulses is None else impulses * joints_of.like(by, impulses)
+        if impulses is None:
+            return None
+        factor = joints_of.like(by, impulses)
+        return jnp.where(factor > 0, impulses, 0) * factor
 
     springs = joints.springs
     impulses = jax.tree.map(lambda x: scaled(springs.pair, x), springs.impulses)
@@ -182,11 +193,9 @@ def _turned(islands: Islands, bodies: Bodies, v_substep_start: Velocities) -> Ve
         inertia * (now.omega - v_substep_start.omega) + mass * vec2.cross(arm, now.velocity - v_substep_start.velocity)
     )
     turn = momentum * vec2.inverse_or_zero(islands.sums(inertia + mass * vec2.dot(arm, arm)))
-    turn = jnp.where(islands.anchored | (total == 0), 0, turn)
-    return Velocities(
-        v_substep_start.velocity + vec2.left(arm) * turn[:, None],
-        v_substep_start.omega + jnp.where(bodies.is_dynamic, turn, 0),
-    )
+    stuck = islands.whole(bodies.is_dynamic & ((mass == 0) | (inertia == 0)))  # a body cannot turn or be shifted
+    turn = jnp.where(islands.anchored | stuck | ~bodies.is_dynamic, 0, turn)
+    return Velocities(v_substep_start.velocity + vec2.left(arm) * turn[:, None], v_substep_start.omega + turn)
 
 
 def by_body(bodies: Bodies, parts: tuple[tuple[Pair, jax.Array], ...]) -> jax.Array:

@@ -340,6 +340,7 @@ class Relaxed(NamedTuple):
 
     solved: Solved
     gains: jax.Array  # [n] J
+    work: jax.Array  # [n] J, of motors, springs and what carries
 
 
 def _relax(
@@ -363,8 +364,8 @@ def _relax(
     def solve(now: Relaxed, index: jax.Array) -> Relaxed:
         gaining = now.gains > 0
         end = _solve_passes(now.solved, islands, params, rules, only=gaining, sharing=(standing, index > 0))
-        gained = islands_of.energy_gained(islands, end.bodies, end.joints, rows, end.contacts, bound)
-        return Relaxed(end, jnp.where(gaining, gained, 0))
+        gained, work = islands_of.energy_gained(islands, end.bodies, end.joints, rows, end.contacts, bound)
+        return Relaxed(end, jnp.where(gaining, gained, 0), work)
 
     def one_pass(now: Relaxed, index: jax.Array) -> tuple[Relaxed, None]:
         gains = jnp.any(now.gains > 0)
@@ -374,9 +375,10 @@ def _relax(
 
         return jax.lax.cond(in_any_world(gains), solved, lambda: now), None
 
-    first = Relaxed(start, gains=jnp.where(only, jnp.ones_like(bound.energy), 0))
+    none = jnp.zeros_like(bound.energy)
+    first = Relaxed(start, gains=jnp.where(only, none + 1, none), work=none)
     last, _ = jax.lax.scan(one_pass, first, jnp.arange(1 + C.energy_passes))
-    return Solved(*islands_of.limit_gains(islands, last.solved, v_substep_start, drift, last.gains))
+    return Solved(*islands_of.limit_gains(islands, last.solved, v_substep_start, bound, (last.gains, last.work)))
 
 
 def paper_step(

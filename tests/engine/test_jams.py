@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
+from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset, stack_worlds
 from jax2d.fidelity import record_worlds
 
 pytestmark = pytest.mark.also_gpu
@@ -77,16 +77,17 @@ def test_what_slips_free_is_not_thrown(settings: str, backend: str) -> None:
     # How a jam comes free hangs on the last bit, so that another processor draws other numbers from one distribution:
     # of 512 worlds the last reaches 0.51, 0.50, 0.28 (draft, standard, fine).
     energy = most_energy(settings, backend)
-    assert np.percentile(energy, 95) < 0.5 and energy.max() < 2
+    assert np.percentile(energy, 95) < 0.5 and energy.max() < 1.5
 
 
+CORNER = Capacity(polygons=5, circles=1, joints=3, thrusters=0)
 # Of the hinges of `arm_in_a_corner`, two steps each.
 DRIVEN = [(0, 1, 0), (-1, 0, -1), (0, 1, 0), (-1, -1, -1), (0, 0, 0), (0, 1, 0), (0, 1, 0), (0, 1, 0), (0, 1, 0)]
 
 
 def arm_in_a_corner() -> BuiltWorld:
     """Two links and a wheel, driven, that run into the corner of floor and wall at 6 m/s. The soak found it."""
-    b = SceneBuilder(Capacity(polygons=5, circles=1, joints=3, thrusters=0))
+    b = SceneBuilder(CORNER)
     b.add_box(width=5, height=10.4, position=(2.5, -4.8), friction=1.0, fixed=True)
     b.add_box(width=5, height=5, position=(-2.5, 2.5), friction=1.0, fixed=True)
 
@@ -113,25 +114,30 @@ def arm_in_a_corner() -> BuiltWorld:
     return b.build()
 
 
-@pytest.mark.parametrize(
-    ("settings", "backend"), [("standard", "warp"), ("draft", "warp"), ("fine", "warp"), ("standard", "xla")]
-)
-def test_an_arm_that_jams_in_a_corner_is_not_thrown(settings: str, backend: str) -> None:
-    """Friction in the corner asks for more impulse with each pass: 5,057 J/kg in `standard` before energy had a bound.
-    Gravity and motors give 18."""
-    world = arm_in_a_corner()
-    engine = Engine(Capacity(polygons=5, circles=1, joints=3, thrusters=0), settings=preset(settings), backend=backend)
-    shapes, state, most = world.scene.shapes, engine.initial_state(*world), 0.0
-    mass, inertia = (
-        np.divide(1, x, where=x > 0, out=np.zeros_like(x)) for x in (shapes.inverse_mass, shapes.inverse_inertia)
+@pytest.mark.parametrize("backend", ["warp", "xla"])
+def test_an_arm_that_jams_in_a_corner_is_not_thrown(backend: str) -> None:
+    """Friction in the corner asks for more impulse with each pass: before energy had a bound each of these worlds got
+    5,057 J/kg. Gravity and motors give 18."""
+    world, count = arm_in_a_corner(), 64
+    scene = stack_worlds([world.scene] * count)
+    engine = Engine(CORNER, settings=preset("standard"), backend=backend)
+    start = stack_worlds([engine.initial_state(*world)] * count)
+    rng, moves = np.random.default_rng(0), (scene.shapes.inverse_mass > 0)[..., None]
+    state = dataclasses.replace(
+        start, velocity=start.velocity + moves * rng.normal(0, 1e-4, start.velocity.shape).astype(np.float32)
     )
+    inverses = scene.shapes.inverse_mass, scene.shapes.inverse_inertia
+    mass, inertia = (np.divide(1, x, where=x > 0, out=np.zeros_like(x)) for x in inverses)
+    most = np.zeros(count)
     for driven in DRIVEN:
-        controls = dataclasses.replace(engine.no_controls(), motor=np.array(driven, np.float32))
+        controls = dataclasses.replace(
+            engine.no_controls(count), motor=np.tile(np.array(driven, np.float32), (count, 1))
+        )
         for _ in range(2):
-            state, _ = engine.step(world.scene, state, controls)
+            state, _ = engine.step(scene, state, controls)
             v, w = np.asarray(state.velocity), np.asarray(state.angular_velocity)
-            most = max(most, 0.5 * float((mass * (v**2).sum(-1) + inertia * w**2).sum() / mass.sum()))
-    assert 5 < most < 25
+            most = np.maximum(most, 0.5 * (mass * (v**2).sum(-1) + inertia * w**2).sum(-1) / mass.sum(-1))
+    assert most.min() > 5 and most.max() < 25
 
 
 def test_a_heavy_body_elsewhere_hides_no_jam() -> None:

@@ -262,16 +262,6 @@ struct Pair {
             bodies.inverse_inertia(b)};
   }
 
-  // Of which impulses take back what they gave.
-  KFN static Pair reversed(const Bodies& bodies, int a, int b) {
-    Pair pair = of(bodies, a, b);
-    pair.inverse_mass_a = -pair.inverse_mass_a;
-    pair.inverse_mass_b = -pair.inverse_mass_b;
-    pair.inverse_inertia_a = -pair.inverse_inertia_a;
-    pair.inverse_inertia_b = -pair.inverse_inertia_b;
-    return pair;
-  }
-
   // Of two where what is not kinematic has no mass, and what is has one of 1 and stands still: impulses are what it takes.
   KFN static Pair of_kinematic(const Bodies& bodies, int a, int b) {
     real none = real(0), of_a = bodies.is_kinematic(a) ? real(1) : none, of_b = bodies.is_kinematic(b) ? real(1) : none;

@@ -278,6 +278,7 @@ struct Contacts {
   }
 
   KFN void scale_impulses(int k, real share) {
+    if (share == real(0)) return reset_impulses(k);  // they may not be finite
     list[k].impulse_normal *= share;
     list[k].impulse_tangent *= share;
     surfaces.scale_impulses(k, share);

@@ -1,12 +1,14 @@
 // Islands: bodies that contacts, joints and springs join, directly or by others that can be pushed.
 // What holds takes energy from an island, or none. Where one has more kinetic energy once it is relaxed than the sub-step
 // began with, when forces had acted and nothing had been solved, impulses are not solved yet, or warm-start impulses from
-// another place of the bodies are far off; bodies that jam do that. It is solved again, alone.
+// another place of the bodies are far off; bodies that jam do that. It is solved again, alone, and where that does not help
+// its energy is bounded.
 
 struct Islands {
   ARRAY(int, first, ISLAND_SHAPES);        // the first body of the island of each
   ARRAY(Vec2, drift, ISLAND_SHAPES);       // m/s, of an island that nothing fixed holds: of its centre of mass when it was found
   ARRAY(real, gain, ISLAND_SHAPES);        // J, what an island has gained, at its first body
+  ARRAY(real, work, ISLAND_SHAPES);        // J, that motors, springs and what carries have done to it
   ARRAY(Vec2, velocity, ISLAND_SHAPES);    // of each, when forces had acted and nothing had been solved
   ARRAY(real, omega, ISLAND_SHAPES);
   ARRAY(unsigned int, anchored, SHAPE_WORDS);  // a bit an island, at its first body: it is held by what cannot be pushed
@@ -52,24 +54,29 @@ struct Islands {
     if (!bodies.is_dynamic(a) || !bodies.is_dynamic(b)) Bodies::add(anchored, of(bodies, a, b));
   }
 
-  // Bounds the energy of islands of `which` that no pass has brought to rest (`gain`, J): their bodies get the share of all that
-  // contacts and joints have changed in the sub-step that leaves them what they may have. Impulses of contacts and springs, for
-  // the next warm start, keep more: what presses goes on to press.
-  KFN void limit_gains(Bodies& bodies, Contacts& contacts, Joints& joints, const unsigned int* which) {
+  // Bounds the energy of islands of `which` that no pass has brought to rest: their bodies get the share of all that contacts
+  // and joints have changed in the sub-step that leaves them what they may have. Impulses of contacts and springs, for the next
+  // warm start, keep more: what presses goes on to press.
+  KFN void limit_gains(Bodies& bodies, Contacts& contacts, Joints& joints, real h, const unsigned int* which) {
     unsigned int members[SHAPE_WORDS];
     for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
       int island = each.shape;
       if (first[island] != island) continue;
       list(bodies, island, members);
-      if (!Bodies::has(anchored, island)) turn_start(bodies, members);
-      Change change = change_of(bodies, members, drift[island]);
-      real share = change.share(gain[island]);
+      Turn turn = {{real(0), real(0)}, real(0)};
+      if (!Bodies::has(anchored, island)) turn = turn_of_start(bodies, island, members);
+      Change change = change_of(bodies, members, turn, h);
+      change.linear -= work[island];
+      real share = change.share(change.room);
       for (Bodies::Each member = Bodies::Each::of(members); member.next();) {
         int i = member.shape;
-        bodies.set_velocity(i, velocity[i] + (bodies.velocity(i) - velocity[i]) * share);
-        bodies.set_omega(i, omega[i] + (bodies.omega(i) - omega[i]) * share);
+        Vec2 v = start_velocity(bodies, i, turn);
+        real w = omega[i] + turn.omega;
+        bool has_any = share > real(0);  // what is not finite has none
+        bodies.set_velocity(i, has_any ? v + (bodies.velocity(i) - v) * share : v);
+        bodies.set_omega(i, has_any ? w + (bodies.omega(i) - w) * share : w);
       }
-      gain[island] = change.share(gain[island] - KEPT_GAIN * change.mass);
+      gain[island] = change.share(change.room + KEPT_GAIN * change.mass);
     }
     for (int k = 0; k < contacts.count; ++k) {
       int a = contacts.list[k].a, b = contacts.list[k].b;
@@ -81,17 +88,24 @@ struct Islands {
     }
   }
 
-  // Turns what an island that nothing holds began the sub-step with, as one piece, to the angular momentum that it has now:
-  // bodies have moved since.
-  KFN void turn_start(const Bodies& bodies, const unsigned int* members) {
+  // Of an island as one piece.
+  struct Turn {
+    Vec2 centre;
+    real omega;
+  };
+
+  // By which an island that nothing holds would have begun the sub-step with the angular momentum that it has now: bodies have
+  // moved since. None where a body cannot turn or be shifted.
+  KFN Turn turn_of_start(const Bodies& bodies, int island, const unsigned int* members) const {
     real mass = real(0), inertia = real(0), momentum = real(0);
-    Vec2 centre = {real(0), real(0)};
+    Vec2 origin = place(bodies, island), shift = {real(0), real(0)};
     for (Bodies::Each each = Bodies::Each::of(members); each.next();) {
-      mass += bodies.mass(each.shape);
-      centre = centre.plus(place(bodies, each.shape), bodies.mass(each.shape));
+      int i = each.shape;
+      if (bodies.inverse_mass(i) == real(0) || bodies.inverse_inertia(i) == real(0)) return {origin, real(0)};
+      mass += bodies.mass(i);
+      shift = shift.plus(place(bodies, i) - origin, bodies.mass(i));
     }
-    if (mass == real(0)) return;  // it turns about a fixed axis
-    centre = centre * Fast::reciprocal(mass);
+    Vec2 centre = origin.plus(shift, Fast::reciprocal(mass));
     for (Bodies::Each each = Bodies::Each::of(members); each.next();) {
       int i = each.shape;
       Vec2 arm = place(bodies, i) - centre;
@@ -99,39 +113,47 @@ struct Islands {
       inertia += own + bodies.mass(i) * arm.dot(arm);
       momentum += own * (bodies.omega(i) - omega[i]) + bodies.mass(i) * arm.cross(bodies.velocity(i) - velocity[i]);
     }
-    real turn = Fast::divide(momentum, inertia);
-    for (Bodies::Each each = Bodies::Each::of(members); each.next();) {
-      int i = each.shape;
-      velocity[i] = velocity[i].plus((place(bodies, i) - centre).left(), turn);
-      omega[i] += turn;
-    }
+    return {centre, Fast::divide(momentum, inertia)};
   }
 
   KFN static Vec2 place(const Bodies& bodies, int i) { return bodies.position[i] + bodies.delta(i); }
 
-  // Of velocities since the sub-step began, of an island: a share s of it changes the energy by linear s + quadratic s^2, J.
-  struct Change {
-    real mass, linear, quadratic;
+  KFN Vec2 start_velocity(const Bodies& bodies, int i, const Turn& turn) const {
+    return velocity[i].plus((place(bodies, i) - turn.centre).left(), turn.omega);
+  }
 
-    // That which leaves out `gain` J.
-    KFN real share(real gain) const {
-      real half = real(0.5) * Fast::divide(linear, quadratic);
-      real whole = real(1) + real(2) * half - Fast::divide(gain, quadratic);
-      return Math::clamp(Fast::root(Math::max(half * half + whole, real(0))) - half, real(0), real(1));
+  // Of an island since the sub-step began: a share s of it changes the energy by linear s + quadratic s^2, J, of which motors
+  // and what carries give theirs. `room`: J, by which it may.
+  struct Change {
+    real mass, linear, quadratic, room;
+
+    // The largest that stays within `room`; in a form that loses no digits where the change is far too large.
+    KFN real share(real room) const {
+      if (!(quadratic > real(0))) return real(1);
+      real half = real(0.5) * Fast::divide(linear, quadratic), r = Fast::divide(room, quadratic);
+      real root = Fast::root(Math::max(half * half + r, real(0)));
+      real share = half > real(0) ? Fast::divide(r, root + half) : root - half;
+      return share > real(0) ? Math::min(share, real(1)) : real(0);
     }
   };
 
-  KFN Change change_of(const Bodies& bodies, const unsigned int* members, Vec2 drift) const {
-    Change change = {real(0), real(0), real(0)};
+  KFN Change change_of(const Bodies& bodies, const unsigned int* members, const Turn& turn, real h) const {
+    Change change = {real(0), real(0), real(0), real(0)};
     for (Bodies::Each each = Bodies::Each::of(members); each.next();) {
       int i = each.shape;
-      Vec2 dv = bodies.velocity(i) - velocity[i];
-      real dw = bodies.omega(i) - omega[i], inertia = Math::inverse_or_zero(bodies.inverse_inertia(i));
+      Vec2 v = start_velocity(bodies, i, turn), dv = bodies.velocity(i) - v;
+      real w = omega[i] + turn.omega, dw = bodies.omega(i) - w;
       change.mass += bodies.mass(i);
-      change.linear += bodies.mass(i) * (velocity[i] - drift).dot(dv) + inertia * omega[i] * dw;
+      change.linear += bodies.mass(i) * (v - drift[first[i]]).dot(dv) + Math::inverse_or_zero(bodies.inverse_inertia(i)) * w * dw;
       change.quadratic += bodies.kinetic_energy(i, dv, dw);
+      change.room += may_have(bodies, i, h) - kinetic_energy(bodies, i, v, w);
     }
     return change;
+  }
+
+  // J, that the relax pass may leave body i, beside the work of motors, springs and what carries.
+  KFN real may_have(const Bodies& bodies, int i, real h) const {
+    return kinetic_energy(bodies, i, velocity[i], omega[i]) * (real(1) + h * SLACK_RATE) + h * SLACK_POWER * bodies.mass(i);
   }
 
   // Adds the other bodies of their islands to those of a set.
@@ -217,34 +239,33 @@ struct Islands {
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
       if (!Bodies::has(held, first[i])) continue;
-      real before = kinetic_energy(bodies, i, velocity[i], omega[i]) * (real(1) + h * SLACK_RATE);
-      real slack = h * SLACK_POWER * bodies.mass(i);
-      gain[first[i]] += kinetic_energy(bodies, i, bodies.velocity(i), bodies.omega(i)) - before - slack;
+      gain[first[i]] += kinetic_energy(bodies, i, bodies.velocity(i), bodies.omega(i)) - may_have(bodies, i, h);
     }
     bool any = false;
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
+      work[i] = real(0);
       if (first[i] != i) continue;
       if (gain[i] <= real(0)) gain[i] = -FAR_DISTANCE;
       any |= gain[i] > real(0);
     }
     if (!any) return false;
     for (int k = 0; k < contacts.count; ++k)
-      gain[of(bodies, contacts.list[k].a, contacts.list[k].b)] -= contacts.surface_work(bodies, k, h);
+      work[of(bodies, contacts.list[k].a, contacts.list[k].b)] += contacts.surface_work(bodies, k, h);
     for (int k = 0; k < joints.count; ++k) {
       int island = of(bodies, joints.list[k].a, joints.list[k].b);
-      gain[island] -= joints.motor_work(bodies, k) + joints.kinematic_work(bodies, k);
+      work[island] += joints.motor_work(bodies, k) + joints.kinematic_work(bodies, k);
     }
     for (int k = 0; k < joints.springs.count; ++k) {
       int island = of(bodies, joints.springs.a_of(k), joints.springs.b_of(k));
-      gain[island] -= joints.springs.work(bodies, k) + joints.springs.kinematic_work(bodies, k);
+      work[island] += joints.springs.work(bodies, k) + joints.springs.kinematic_work(bodies, k);
     }
     unsigned int found[SHAPE_WORDS];
     Bodies::clear(found);
     any = false;
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
-      if (gain[first[i]] <= real(0) || (again && !Bodies::has(gaining, i))) continue;
+      if (gain[first[i]] <= work[first[i]] || (again && !Bodies::has(gaining, i))) continue;
       Bodies::add(found, i);
       any = true;
     }

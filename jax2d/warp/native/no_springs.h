@@ -10,7 +10,6 @@ struct Springs {
   KFN void store(const Column&) const {}
   KFN void prepare(const Bodies&, const unsigned int*) {}
   KFN void scale_impulses(int, real) {}
-  KFN void apply_impulses(const Bodies&, Pair&, int) const {}
   KFN void warm_start(Bodies&) {}
   KFN void solve(Bodies&, const Soft&, bool, bool, ActiveSet&) {}
   KFN real kinematic_work(const Bodies&, int) const { return real(0); }

@@ -222,7 +222,7 @@ struct World {
           contacts.active.begin(true, gaining);
           continue;
         }
-        islands.limit_gains(bodies, contacts, joints, gaining);
+        islands.limit_gains(bodies, contacts, joints, h, gaining);
       }
       if (contacts.may_bounce) {
         bounces.add_work(bodies, joints, thrusters, controls, islands, solved, h);
