@@ -107,6 +107,12 @@ class Constants:
     settled_speed: float = _constant(
         0.03, "m/s", "an impact is shared out when no contact changes by more", "0: time only"
     )
+    least_curve: float = _constant(
+        1e-5,
+        "of the energy of what contacts have changed",
+        "what joints leave of it is known to so much (line search)",
+        "0: rounding decides how far a pass goes where joints take all of it",
+    )
     min_separating_speed: float = _constant(
         0.2,
         "m/s",

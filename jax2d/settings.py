@@ -43,7 +43,7 @@ POSITIVE = {  # fields that cannot be 0, as others can
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Settings of the solver. Numbers are run-time parameters of a compiled engine, `solver`,
+    """Settings of the solver. Numbers are run-time parameters of a compiled engine; `solver`, `line_search`,
     `friction_mixing` and `solver_batch_size` are compiled in."""
 
     solver: Solver = "soft_step"
@@ -82,6 +82,7 @@ class Settings:
     restitution_threshold: float = 1.0  # m/s, slower impacts do not bounce, so that stacks come to rest
     bounce_rounds: int = 16  # at most, in which joints and other contacts share in a bounce
     impact_passes: int = 0  # at most, in which they share in an impact with friction; 0: only what hits is stopped
+    line_search: bool = False  # contacts of jointed bodies push by what bears on them, not by their own masses
 
     # sequential_impulses (published constants)
     slop: float = 0.01  # m, penetration left alone
@@ -169,7 +170,14 @@ PRESETS: dict[str, Settings] = {
     "standard": Settings(),
     # Four times the sub-steps, and stiffness that rises with them: otherwise its sag would stay that of `standard`.
     # Overlap is undone more slowly, since stiffer contacts pass that speed on from body to body.
-    "fine": Settings(substeps=16, contact_hertz=1000.0, spring_hertz=1000.0, push_out_speed=2.0, impact_passes=16),
+    "fine": Settings(
+        substeps=16,
+        contact_hertz=1000.0,
+        spring_hertz=1000.0,
+        push_out_speed=2.0,
+        impact_passes=16,
+        line_search=True,
+    ),
     "paper": Settings(solver="sequential_impulses", substeps=10, base_friction=0.4, friction_mixing="root_sum_square"),
     # For measuring, in float64 (`Engine(..., backend="xla", dtype=jnp.float64)`): in float32 so short a step moves
     # nothing slow. Error of first order in dt, so that half and a quarter of it can be extrapolated from.

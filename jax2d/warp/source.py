@@ -40,6 +40,7 @@ NATIVE_FILES = (
     "joint.h",
     "drives.h",
     "springs.h",
+    "line_search.h",
     "joints.h",
     "contacts.h",
     "forces.h",
@@ -65,6 +66,7 @@ def constants(variant: KernelVariant) -> dict[str, int]:
     has_pairs = effects.polygon_pairs or effects.polygon_circle_pairs or effects.circle_pairs
     has_joints = effects.revolute_joints or effects.fixed_joints or effects.prismatic_joints
     joints = effects.joint_slots if has_joints else 0
+    line_search = variant.line_search and has_pairs and joints > 0
     sweep = has_pairs and polygons + circles > variant.options.sweep_above_shapes
     values = {
         "CAPACITY_POLYGONS": capacity.polygons,
@@ -96,6 +98,9 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "SWEEP_SHAPES": polygons + circles if sweep else 1,
         "SOFT_STEP": int(variant.is_soft),
         "SHARES_IMPACTS": int(variant.shares_impacts),
+        "LINE_SEARCH": int(line_search),
+        "SEARCHED_SHAPES": polygons + circles if line_search else 1,
+        "SEARCHED_CONTACTS": effects.contact_slots + 1 if line_search else 1,
         "FRICTION_ROOT_SUM_SQUARE": int(variant.friction_mixing == "root_sum_square"),
     }
     values |= {f"HAS_{name.upper()}": int(getattr(effects, name)) for name in EFFECTS}

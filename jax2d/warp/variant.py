@@ -59,6 +59,7 @@ class KernelVariant:
     solver: Solver
     friction_mixing: str
     shares_impacts: bool = False  # passes are repeated until an impact is shared out
+    line_search: bool = False  # of contacts of jointed bodies
     report_contacts: bool = False  # of the last step of a call
     shared_record: int = 0  # numbers of a body in a GPU's shared memory
     warp_worlds: int = WARP  # worlds that a warp of a GPU steps, a lane each
@@ -81,6 +82,7 @@ class KernelVariant:
             solver=settings.solver,
             friction_mixing=settings.friction_mixing,
             shares_impacts=settings.solver == "soft_step" and settings.impact_passes > 0,
+            line_search=settings.solver == "soft_step" and settings.line_search,
             report_contacts=report_contacts,
             shared_record=(options.shared_record or 0) if options is not None else 0,
             options=options if options is not None else CompileOptions(),

@@ -34,7 +34,7 @@ from jax2d.xla.contact_solver import (
 )
 from jax2d.xla.contacts import Contacts, hits
 from jax2d.xla.impact_propagation import skips_bounces
-from jax2d.xla.islands import Islands, by_body
+from jax2d.xla.islands import Islands, by_body, share_within
 from jax2d.xla.joints import Joints, PlacedJoints
 from jax2d.xla.rows import Constraints
 from jax2d.xla.rules import Rules
@@ -166,8 +166,7 @@ def limit(
     )
     was = islands.sums(energy(before, before.velocities, gravity, h))
     too_much = (was + linear + quadratic > max_energy + C.energy_rounding * quadratic) & (quadratic > 0)
-    root = vec2.sqrt_or_zero(linear * linear + 4 * quadratic * jnp.maximum(max_energy - was, 0))
-    share = jnp.clip((root - linear) / (2 * jnp.where(too_much, quadratic, 1)), 0, 1)
+    share = share_within(jnp.maximum(max_energy - was, 0), linear, jnp.where(too_much, quadratic, 0))
     velocity = before.velocities.velocity + share[:, None] * change.velocity
     omega = before.velocities.omega + share * change.omega
     limited = Velocities(

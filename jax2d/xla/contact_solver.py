@@ -130,6 +130,25 @@ def _turned_by(arm: jax.Array, turn: jax.Array) -> jax.Array:
     return vec2.left(arm) * jnp.sin(turn)[:, None] - arm * one_minus_cos[:, None]
 
 
+class Given(NamedTuple):
+    """Normal impulses that contacts have got in a pass with bias."""
+
+    impulse: jax.Array  # [K] N s, of an impact 0
+    slope: jax.Array  # [K] J, it times what was wrong, from where the contact was come to and half of what it did
+    yielded: jax.Array  # [K] J, that its softness takes
+    is_hit: jax.Array  # [K] bool, an impact that has changed
+
+
+def _given(total: jax.Array, wanted: jax.Array, speed: jax.Array, softness: tuple, c: Row) -> Given:
+    mass_scale, impulse_scale = softness
+    impulse = total - c.impulse_normal
+    inverse = jnp.where(c.mass_normal > 0, 1 / jnp.where(c.mass_normal > 0, c.mass_normal * mass_scale, 1), 0)
+    yields = impulse_scale * inverse
+    wrong = speed + wanted / mass_scale + yields * c.impulse_normal
+    slope = impulse * (wrong + 0.5 * impulse * mass_scale * inverse)
+    return Given(impulse, slope, yields * impulse * impulse, jnp.zeros_like(impulse, dtype=bool))
+
+
 def solve_soft(
     bodies: Bodies,
     contacts: Contacts,
@@ -138,10 +157,10 @@ def solve_soft(
     active: ActiveSet,
     *,
     use_bias: bool,
-) -> tuple[Bodies, Contacts, Joints, jax.Array]:
+) -> tuple[Bodies, Contacts, Joints, jax.Array, Given]:
     """One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes back the
     velocity that the push added, and applies friction. `joined`: joints, which answer to impacts at once, and where
-    they are. Also the bodies [n] whose impacts are to be shared out."""
+    they are. Also the bodies [n] whose impacts are to be shared out, and what contacts got."""
     separation = current_separation(bodies, contacts)
     is_apart = separation > C.touching_distance
     bias = jnp.where(is_apart, separation / params.h, 0)  # speculative: may close the gap, not more
@@ -169,6 +188,7 @@ def solve_soft(
         wanted = bias + closes_by(before, c, face)
         impulse = -c.mass_normal * (mass_scale * normal_speed(before, c) + wanted) - impulse_scale * c.impulse_normal
         of, normal_total = push_apart(before, c, impulse)
+        given = _given(normal_total, wanted, normal_speed(before, c), (mass_scale, impulse_scale), c)
         tangent_total, rolling_total = c.impulse_tangent, c.rolling_impulse
         if not use_bias:
             of, tangent_total = solve_friction(of, c, normal_total)
@@ -185,7 +205,11 @@ def solve_soft(
         velocities = scatter_velocities(velocities, c.pair, before, of)
         velocities, joint_impulses = joints_of.answer(answers, velocities, joint_impulses, c.pair, pushed)
         of_first = (first.contact.impulse_normal, first.contact.impulse_tangent)
-        return (velocities, joint_impulses, own), (*totals, *of_first, included & is_impact & (own.change > large))
+        none = jax.tree.map(jnp.zeros_like, given)
+        given = choose(is_impact, none._replace(is_hit=own.change > 0), given)
+        given = choose(included, given, none)
+        changed = included & is_impact & (own.change > large)
+        return (velocities, joint_impulses, own), (*totals, *of_first, changed, given)
 
     rows = rows_now(bodies, contacts, ahead)
     is_placed = (contacts.is_impact & ~contacts.kinematic_a & ~contacts.kinematic_b)[:, None]
@@ -213,9 +237,10 @@ def solve_soft(
         large,
         of_pairs,
     )
-    (velocities, joint_impulses, _), (normal, tangent, rolling, first_normal, first_tangent, changed) = jax.lax.scan(
+    (velocities, joint_impulses, _), solved = jax.lax.scan(
         solve, (bodies.velocities, joints_of.row_impulses(joined[0]), none), xs
     )
+    normal, tangent, rolling, first_normal, first_tangent, changed, given = solved
     # The second of two points has changed the first's as well.
     both = jnp.roll(contacts.is_second & contacts.is_impact & included, -1)
     normal = jnp.where(both, jnp.roll(first_normal, -1), normal)
@@ -226,6 +251,7 @@ def solve_soft(
         with_impulses(contacts, normal, tangent),
         joints_of.with_changed_impulses(joined[0], joint_impulses),
         marked(bodies, contacts.pair, changed),
+        given,
     )
 
 

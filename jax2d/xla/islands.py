@@ -141,17 +141,10 @@ def limit_gains(
     changed, spun = now.velocity - start.velocity, now.omega - start.omega
     linear = islands.sums(mass * vec2.dot(start.velocity - bound.drift, changed) + inertia * start.omega * spun) - work
     quadratic = islands.sums(0.5 * (mass * vec2.dot(changed, changed) + inertia * spun * spun))
-    inverse = vec2.inverse_or_zero(jnp.where(too_much, quadratic, 0))
     room = islands.sums(bound.energy - bodies_of.kinetic_energy(bodies, start, bound.drift))
-    half = 0.5 * linear * inverse
-
-    def share(room: jax.Array) -> jax.Array:
-        # In a form that loses no digits where the change is far too large.
-        root = vec2.sqrt_or_zero(jnp.maximum(half * half + room * inverse, 0))
-        slow = jnp.where(half > 0, room * inverse * vec2.inverse_or_zero(root + half), root - half)
-        return jnp.where(too_much & (quadratic > 0), jnp.where(slow > 0, jnp.minimum(slow, 1), 0), 1)
-
-    left, kept = share(room), share(room + C.kept_gain * islands.sums(mass))
+    quadratic = jnp.where(too_much, quadratic, 0)
+    left = share_within(room, linear, quadratic)
+    kept = share_within(room + C.kept_gain * islands.sums(mass), linear, quadratic)
     has_any = left > 0  # what is not finite has none
     velocity = start.velocity + jnp.where(has_any[:, None], changed, 0) * left[:, None]
     omega = start.omega + jnp.where(has_any, spun, 0) * left
@@ -177,6 +170,16 @@ def limit_gains(
             rolling_impulse=scaled(contacts.pair, contacts.rolling_impulse),
         ),
     )
+
+
+def share_within(room: jax.Array, linear: jax.Array, quadratic: jax.Array) -> jax.Array:
+    """The largest share s of changes of velocity that changes energies by no more than `room`, J: linear s +
+    quadratic s^2. In a form that loses no digits where a change is far too large."""
+    inverse = vec2.inverse_or_zero(quadratic)
+    half = 0.5 * linear * inverse
+    root = vec2.sqrt_or_zero(jnp.maximum(half * half + room * inverse, 0))
+    share = jnp.where(half > 0, room * inverse * vec2.inverse_or_zero(root + half), root - half)
+    return jnp.where(quadratic > 0, jnp.where(share > 0, jnp.minimum(share, 1), 0), 1)
 
 
 def _turned(islands: Islands, bodies: Bodies, v_substep_start: Velocities) -> Velocities:

@@ -309,16 +309,16 @@ def solve_soft(
     active: ActiveSet,
     *,
     use_bias: bool,
-    is_first: bool = True,
+    after: Velocities | None = None,
 ) -> tuple[Bodies, Joints, jax.Array]:
     """The first of two rounds of a pass with bias, or a bounce, over springs and all joints; or the second, for what
-    contacts and changed spins have made wrong since. No motors in a bounce: a force or torque does nothing in an
-    instant. Also the bodies [n] that it moved in a repeated pass.
+    contacts and changed spins have made wrong since, `after` the velocities that contacts left. No motors in a bounce:
+    a force or torque does nothing in an instant. Also the bodies [n] that it moved in a repeated pass.
 
     A round is solved with what motors and limits held at last. Where that cannot be at the speeds that come out, their
     articulation is solved again with what they would hold. Where they do not agree with each other in the end, limits
     hold still, which takes energy and gives none."""
-    by_springs = jnp.zeros_like(active.now)
+    by_springs, is_first = jnp.zeros_like(active.now), after is None
     if is_first:
         bodies, springs, by_springs = springs_of.solve(
             bodies, joints.springs, params, active, use_bias=use_bias, forces=use_bias
@@ -344,7 +344,8 @@ def solve_soft(
     bias = jnp.zeros_like(system.yielding)
     if use_bias:
         # No motor of this round has acted yet: a strong one spins a light body far beyond what is solved.
-        bias = bend_speed(bodies, joints, before, now, params) + correction_speed(now, joints, params)
+        foreseen = before if after is None else pair_velocities(joints.pair, after)
+        bias = bend_speed(bodies, joints, foreseen, now, params) + correction_speed(now, joints, params)
 
     def solve(before_it: _Attempt) -> _Attempt:
         at = push_unheld(before_it)

@@ -15,6 +15,7 @@ class Rules(NamedTuple):
     substeps: int
     bounce_rounds: int
     impact_passes: int
+    line_search: bool
     solver_batch_size: int
     report_contacts: bool = False
 
@@ -30,6 +31,7 @@ def rules_of(settings: Settings, *, report_contacts: bool = False) -> Rules:
         settings.substeps,
         settings.bounce_rounds,
         settings.impact_passes,
+        settings.line_search,
         settings.solver_batch_size,
         report_contacts,
     )

@@ -17,6 +17,7 @@ from jax2d.xla import (
     forces,
     geometry,
     impact_propagation,
+    line_search,
     paper,
     reports,
 )
@@ -284,12 +285,15 @@ def _solve_passes(
             bodies, joints, moved = joints_of.solve_soft(
                 now.bodies, now.joints, standing, params, now.active, use_bias=True
             )
-        bodies, contacts, joints, hit = contact_solver.solve_soft(
+        bodies, contacts, joints, hit, given = contact_solver.solve_soft(
             bodies, now.contacts, (joints, standing), params, now.active, use_bias=use_bias
         )
         if use_bias:
+            contacted = Solved(bodies, joints, contacts)
+            if rules.line_search:
+                bodies, contacts = line_search.apply(contacted, given, standing, islands, params, now.active)
             bodies, joints, moved_again = joints_of.solve_soft(
-                bodies, joints, standing, params, now.active, use_bias=True, is_first=False
+                bodies, joints, standing, params, now.active, use_bias=True, after=contacted.bodies.velocities
             )
             moved |= moved_again
         shared = (hit | (moved & islands.whole(now.active.moved))) & (index < rules.impact_passes)

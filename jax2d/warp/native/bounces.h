@@ -97,25 +97,22 @@ struct Bounces {
     }
   }
 
+  // `given`: J, of it the surfaces give their share.
   KFN real limit_island(Bodies& bodies, const Velocities& unbounced, const unsigned int* island, real max_energy, Vec2 gravity,
-                        real h, real linear) const {
-    // With a share s of the change: before + linear s + quadratic s^2, of which the surfaces give their share.
-    real before = real(0), quadratic = real(0);
+                        real h, real given) const {
+    Islands::Change change = {real(0), given, real(0), max_energy};
     for (Bodies::Each each = Bodies::Each::of(island); each.next();) {
       int i = each.shape;
       real mass = bodies.mass(i);
       real inertia = Math::inverse_or_zero(bodies.inverse_inertia(i));
       Vec2 was = unbounced.velocity[i], v = midway(bodies, i, was, gravity, h), dv = bodies.velocity(i) - was;
       real w = unbounced.omega[i], dw = bodies.omega(i) - w;
-      before += real(0.5) * (mass * v.dot(v) + inertia * w * w) - mass * gravity.dot(bodies.delta(i));
-      linear += mass * v.dot(dv) + inertia * w * dw;
-      quadratic += real(0.5) * (mass * dv.dot(dv) + inertia * dw * dw);
+      change.room -= real(0.5) * (mass * v.dot(v) + inertia * w * w) - mass * gravity.dot(bodies.delta(i));
+      change.linear += mass * v.dot(dv) + inertia * w * dw;
+      change.quadratic += bodies.kinetic_energy(i, dv, dw);
     }
-    real after = before + linear + quadratic;
-    if (after <= max_energy + ENERGY_ROUNDING * quadratic) return real(1);
-    real energy_left = Math::max(max_energy - before, real(0));
-    real root = sqrtf(linear * linear + real(4) * quadratic * energy_left);
-    real share = quadratic > real(0) ? Math::clamp((root - linear) / (real(2) * quadratic), real(0), real(1)) : real(1);
+    if (change.linear + change.quadratic <= change.room + ENERGY_ROUNDING * change.quadratic) return real(1);
+    real share = change.share(Math::max(change.room, real(0)));
     for (Bodies::Each each = Bodies::Each::of(island); each.next();) {
       int i = each.shape;
       Vec2 v = unbounced.velocity[i];

@@ -374,7 +374,7 @@ struct Contacts {
 
   // One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes
   // back the velocity that the push added, and applies friction. In later rounds of it what bounces leaves.
-  KFN void solve_soft(Bodies& bodies, Joints& joints, const Soft& soft, bool use_bias, int round) {
+  KFN void solve_soft(Bodies& bodies, Joints& joints, LineSearch& search, const Soft& soft, bool use_bias, int round) {
     int repeats = 0;
     real first_change = real(0);
     unsigned int ready[JOINT_WORDS];  // joints whose system does for impacts, where bodies stand and without motors
@@ -382,6 +382,7 @@ struct Contacts {
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (active.leaves_out(c.a, c.b)) continue;
+      int searched = LINE_SEARCH && use_bias ? search.island_of(bodies, c.a, c.b) : -1;
       Pair pair = Pair::of(bodies, c.a, c.b);
       Vec2 moved = Contacts::moved(bodies, c);
       real separation = current_separation(bodies, c, moved);
@@ -414,6 +415,10 @@ struct Contacts {
         real change = solve_impact(bodies, joints, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, !use_bias, jointed, ready});
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
+        if (searched >= 0) {
+          search.impulse[i] = real(0);
+          if (change > real(0)) search.leave_out(searched);
+        }
         pair.write_back(bodies);
         // Both points of a pair in turn, until they agree: what one had on the way does not count.
         if (c.is_second && Math::max(first_change, change) > SETTLED_SPEED && repeats < POINT_ROUNDS) {
@@ -440,16 +445,37 @@ struct Contacts {
         mass = c.mass_normal;
       }
       real impulse = Fused::of(-mass, Fused::of(mass_scale, vn, bias), -(impulse_scale * c.impulse_normal));
-      real total = Math::max(c.impulse_normal + impulse, real(0));
-      impulse = total - c.impulse_normal;
+      real total = Math::max(c.impulse_normal + impulse, real(0)), had = c.impulse_normal;
+      impulse = total - had;
       c.impulse_normal = total;
       c.max_impulse = Math::max(c.max_impulse, total);
       pair.apply_impulse(arms.a, arms.b, c.normal * impulse);
+      if (searched >= 0) {
+        search.impulse[i] = impulse;
+        if (impulse != real(0)) {
+          // The contact's row is speed + bias / mass_scale + yields * impulse, which is to be zero.
+          real inverse = Fast::reciprocal(mass * mass_scale), yields = impulse_scale * inverse;
+          real wrong = vn + bias * mass * inverse + yields * had;
+          search.add(searched, impulse, total, wrong + real(0.5) * impulse * mass_scale * inverse, yields);
+          search.give(bodies, pair, arms, c.normal * impulse);
+        }
+      }
       if (!use_bias && (!bounces || is_of(c, with_friction))) {
         solve_friction(pair, c, arms, mass_tangent, surfaces.speed_of(i));
         surfaces.solve_rolling(pair, i, c.impulse_normal);
       }
       pair.write_back(bodies);
+    }
+  }
+
+  // How much more each island of the last pass with bias has taken; its bodies have it (LineSearch::find).
+  KFN void add_more(const Bodies& bodies, const LineSearch& search) {
+    for (int i = 0; i < count; ++i) {
+      Contact& c = list[i];
+      int island = active.leaves_out(c.a, c.b) ? -1 : search.island_of(bodies, c.a, c.b);
+      if (island < 0 || search.slope[island] == real(0)) continue;
+      c.impulse_normal = Math::max(Fused::of(search.slope[island], search.impulse[i], c.impulse_normal), real(0));
+      c.max_impulse = Math::max(c.max_impulse, c.impulse_normal);
     }
   }
 

@@ -122,8 +122,8 @@ struct Islands {
     return velocity[i].plus((place(bodies, i) - turn.centre).left(), turn.omega);
   }
 
-  // Of an island since the sub-step began: a share s of it changes the energy by linear s + quadratic s^2, J, of which motors
-  // and what carries give theirs. `room`: J, by which it may.
+  // Of an island's velocities: a share s of it changes the energy by linear s + quadratic s^2, J, of which motors and what
+  // carries give theirs. `room`: J, by which it may.
   struct Change {
     real mass, linear, quadratic, room;
 
@@ -137,6 +137,7 @@ struct Islands {
     }
   };
 
+  // Since the sub-step began.
   KFN Change change_of(const Bodies& bodies, const unsigned int* members, const Turn& turn, real h) const {
     Change change = {real(0), real(0), real(0), real(0)};
     for (Bodies::Each each = Bodies::Each::of(members); each.next();) {

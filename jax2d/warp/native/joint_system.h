@@ -242,6 +242,17 @@ struct AxialRow {
     return true;
   }
 
+  // Bounds `most` so that as often a change of the impulse leaves what is held within what holds it.
+  KFN void bound(real& most, real total, real change) const {
+    if (holds == NOTHING || change == real(0)) return;
+    bool is_up = change > real(0);
+    real room = FAR_DISTANCE;
+    if (holds == MOTOR) room = is_up ? this->most - total : total - least;
+    if (holds == LOWER && !is_up) room = total - pushing();
+    if (holds == UPPER && is_up) room = pushing() - total;
+    most = Math::min(most, Math::max(room, real(0)) / Math::abs(change));
+  }
+
   // Of rows that do not agree: a limit may pull for once, since nothing moves by it, and a motor has no more than it has.
   KFN void settle(real total) {
     is_still = true;
@@ -266,6 +277,7 @@ struct JointSystem {
   ARRAY(Vec3, bias, NUM_JOINTS + 1);  // speeds at which what is held goes wrong where its rows' speeds are zero
   ARRAY(Vec3, x, NUM_JOINTS + 1);  // right side, then solution
   ARRAY(Vec3, y, NUM_JOINTS + 1);  // a second one
+  ARRAY(real, spent, LINE_SEARCH ? NUM_JOINTS + 1 : 1);  // of each its share of y H^-1 y of the second right side, J
   ARRAY(AxialRow, axial, HAS_AXES ? NUM_JOINTS + 1 : 1);  // of joints with a motor or limits
   int count;
 
@@ -341,7 +353,10 @@ struct JointSystem {
       if (is_new) diagonal[k.joint] = factor;
       Vec3 own = factor.solve(x[k.joint]), second = both ? factor.solve(y[k.joint]) : own;
       x[k.joint] = own;
-      if (both) y[k.joint] = second;
+      if (both) {
+        if (LINE_SEARCH) spent[k.joint] = y[k.joint].dot(second);
+        y[k.joint] = second;
+      }
       int column = first_block(k.joint);
       for (EachJoint i = EachJoint::of(after_of(k.joint)); i.next(); ++column) {
         Block of_i = above[column];

@@ -185,12 +185,13 @@ struct Joints {
   }
 
   // One of two rounds of a pass with bias, or a bounce. A second one is for what contacts and changed spins have made wrong
-  // since the first. A bounce is without motors: a force or torque does nothing in an instant.
+  // since the first; where lines are searched, contacts take more of what they gave once it is known what joints answer to it.
+  // A bounce is without motors: a force or torque does nothing in an instant.
   //
   // A round is solved with what motors and limits held at last. Where that is not what they would do at the speeds that come
   // out, their articulation is solved again with what they would. Where they do not agree with each other in the end, limits
   // hold still, which takes energy and gives none.
-  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool is_first, ActiveSet& active) {
+  KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool is_first, LineSearch& search, ActiveSet& active) {
     if (is_first)
       for (int pass = 0; pass < (use_bias ? SPRING_PASSES : 1); ++pass) springs.solve(bodies, soft, use_bias, use_bias, active);
     if (count == 0) return;
@@ -200,6 +201,7 @@ struct Joints {
       find_included(active);
       begin(bodies, soft, use_bias);
     }
+    bool searches = LINE_SEARCH && use_bias && !is_first && search.is_called_for;
     unsigned int which[JOINT_WORDS];  // that an attempt is about
     for (int word = 0; word < JOINT_WORDS; ++word) which[word] = included[word];
     // By velocities that no motor of this round has changed yet: a strong one spins a light body far beyond what is solved.
@@ -208,20 +210,38 @@ struct Joints {
     for (int attempt = HAS_BRAKES_AND_SERVOS && is_first && use_bias ? -1 : 0;; ++attempt) {
       if (HAS_AXES && is_new && attempt >= 0) push_unheld(bodies, which, active);
       assemble(bodies, which, use_bias, is_new);
-      system.eliminate(which, is_new, false);
+      for (EachJoint k = EachJoint::of(which); searches && k.next();)
+        system.y[k.joint] = rows_of(k.joint).speeds(search.given(bodies, list[k.joint].a, list[k.joint].b));
+      system.eliminate(which, is_new, searches);
       if (attempt < 0) {
         aim_servos(bodies, which, soft);
         continue;
       }
-      push(bodies, which, active);
+      if (searches) take_more(bodies, which, search);
+      for (int k = count - 1; k >= 0; --k)
+        if (JointSystem::has(which, k)) exert(bodies, k, -(searches ? system.x[k] : system.substitute(k, false)), active);
+      searches = false;
       if (!HAS_AXES || attempt == AXIAL_CHANGES || !choose_held(bodies, which, attempt + 1 == AXIAL_CHANGES)) break;
       is_new = true;
     }
   }
 
-  KFN void push(Bodies& bodies, const unsigned int* which, ActiveSet& active) {
+  // Each island takes more of what its contacts have given, and joints answer to it all.
+  KFN void take_more(Bodies& bodies, const unsigned int* which, LineSearch& search) {
     for (int k = count - 1; k >= 0; --k)
-      if (JointSystem::has(which, k)) exert(bodies, k, -system.substitute(k, false), active);
+      if (JointSystem::has(which, k)) system.substitute(k, true);
+    for (EachJoint k = EachJoint::of(which); k.next();) {
+      int island = search.island_of(bodies, list[k.joint].a, list[k.joint].b);
+      search.curve[island] -= system.spent[k.joint];
+      real change = -system.y[k.joint].z;
+      if (HAS_AXES && list[k.joint].has_axial_row())
+        system.axial[k.joint].bound(search.most[island], list[k.joint].total_impulse() + change, change);
+    }
+    search.find(bodies);
+    for (EachJoint k = EachJoint::of(which); k.next();) {
+      int island = search.island_of(bodies, list[k.joint].a, list[k.joint].b);
+      system.x[k.joint] = system.x[k.joint].plus(system.y[k.joint], search.slope[island]);
+    }
   }
 
   KFN void exert(Bodies& bodies, int k, Vec3 impulse, ActiveSet& active) {

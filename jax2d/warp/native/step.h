@@ -16,6 +16,7 @@ struct World {
   Thrusters thrusters;
   Bounces bounces;
   Islands islands;
+  LineSearch search;
   Report report;
   Soft soft;
   ARRAY(unsigned int, touching_now, NUM_SHAPES * TOUCH_WORDS);  // a row a shape, a bit a slot
@@ -181,9 +182,9 @@ struct World {
   // reaches has its share.
   //
   // Without: contacts alone, since joints have the velocities that keep anchors together; but where an island has gained
-  // energy they share in what takes it back. Where contacts are `ending`, what hit bounces: rounds go on until joints and
-  // other contacts of its island have shared in it and every bounce has its speed. What the next step is warm-started with
-  // is from before, since a bounce does not last.
+  // energy they share in what takes it back, and where that does not, all its bodies get a share of what has changed. Where
+  // contacts are `ending`, what hit bounces: rounds go on until joints and other contacts of its island have shared in it and
+  // every bounce has its speed. What the next step is warm-started with is from before, since a bounce does not last.
   KFN void solve(bool use_bias, Vec2 gravity, real h, const unsigned int* solved, bool is_part, const unsigned int* ending) {
     int rounds = (int)(params.get(PARAM_BOUNCE_ROUNDS)), max_passes = (int)(params.get(PARAM_IMPACT_PASSES));
     bool bouncing = false, is_second = false;  // joints again
@@ -195,11 +196,13 @@ struct World {
     contacts.active.begin(is_part, solved);
     for (;;) {
       if (use_bias || round > 0 || energy_passes > 0)
-        joints.solve_soft(bodies, soft, use_bias, !is_second, contacts.active);
+        joints.solve_soft(bodies, soft, use_bias, !is_second, search, contacts.active);
       else
         joints.springs.solve(bodies, soft, false, true, contacts.active);
-      if (!is_second) contacts.solve_soft(bodies, joints, soft, use_bias, round);
+      if (LINE_SEARCH && use_bias && !is_second) begin_search();
+      if (!is_second) contacts.solve_soft(bodies, joints, search, soft, use_bias, round);
       if (use_bias) {
+        if (LINE_SEARCH && is_second && search.is_found) contacts.add_more(bodies, search);
         is_second = !is_second;
         if (is_second) continue;
         unsigned int again[SHAPE_WORDS];
@@ -249,6 +252,11 @@ struct World {
       report.add(contacts.list[k], k, islands.gain[islands.of(bodies, contacts.list[k].a, contacts.list[k].b)]);
     joints.load_impulses(impulses);
     contacts.load_impulses(impulses, hit);
+  }
+
+  KFN void begin_search() {
+    search.begin(bodies, islands.first);
+    for (int k = 0; k < joints.count; ++k) search.add_joint(bodies, joints.list[k].a, joints.list[k].b);
   }
 
   // What moving surfaces and kinematic bodies have done to islands of `which` in this sub-step, times `share`; all of it is

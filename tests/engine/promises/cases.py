@@ -47,4 +47,5 @@ def _case(promise: Promise, solver: Solver, broken: Sequence[Broken]) -> Any:
     if len(reasons) > 1:
         raise ValueError(f"{promise.name!r} with {solver.preset} is in two entries")
     marks += [pytest.mark.xfail(strict=True, reason=reason) for reason in reasons]
-    return pytest.param(promise, *solver, id=f"{promise.name}-{solver.preset}-{solver.backend}", marks=marks)
+    name, backend = solver.preset, solver.backend
+    return pytest.param(promise, name, backend, id=f"{promise.name}-{name}-{backend}", marks=marks)

@@ -22,10 +22,11 @@ PRESETS = ("draft", "standard", "fine")  # `paper` promises none of this: it is 
 
 
 class Solver(NamedTuple):
-    """A preset on a backend."""
+    """A preset on a backend, with what is changed in it."""
 
     preset: str = "standard"
     backend: str = "warp"
+    changes: tuple[tuple[str, object], ...] = ()
 
     def engine(self, capacity: Capacity) -> Engine:
         return _engine(self, capacity)
@@ -99,4 +100,5 @@ def everywhere(limit: float) -> dict[str, float]:
 
 @functools.cache
 def _engine(solver: Solver, capacity: Capacity) -> Engine:
-    return Engine(capacity, settings=preset(solver.preset), backend=solver.backend)
+    settings = preset(solver.preset).replace(**dict(solver.changes))
+    return Engine(capacity, settings=settings, backend=solver.backend)
