@@ -87,8 +87,9 @@ class Effects:
     @classmethod
     def full(cls, capacity: Capacity) -> Effects:
         """All effects that a scene of this capacity can call for."""
+        absent = {*(() if capacity.extended_shapes else EXTENDED), *(() if capacity.springs else ("springs",))}
         return cls(
-            **{name: capacity.extended_shapes or name not in EXTENDED for name in EFFECTS},
+            **{name: name not in absent for name in EFFECTS},
             polygon_slots=capacity.polygons,
             circle_slots=capacity.circles,
             joint_slots=capacity.joints,

@@ -50,6 +50,7 @@ def test_nothing_is_called_for_by_an_empty_scene():
 def test_full_effects_cover_every_scene_of_the_capacity():
     assert Effects.full(CAPACITY).covers(effects_of(ball_on_floor()))
     assert not Effects().covers(effects_of(ball_on_floor()))
+    assert [Effects.full(dataclasses.replace(CAPACITY, springs=n)).springs for n in (0, 1)] == [False, True]
 
 
 def test_ball_on_a_floor_calls_for_what_it_shows():
