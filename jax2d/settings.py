@@ -44,7 +44,7 @@ POSITIVE = {  # fields that cannot be 0, as others can
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings of the solver. Numbers are run-time parameters of a compiled engine; `solver`, `line_search`,
-    `friction_mixing` and `solver_batch_size` are compiled in."""
+    `friction_mixing`, `solver_batch_size` and whether there are `impact_passes` are compiled in."""
 
     solver: Solver = "soft_step"
     dt: float = 1 / 60  # s, one physics step

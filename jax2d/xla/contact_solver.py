@@ -134,7 +134,7 @@ class Given(NamedTuple):
     """Normal impulses that contacts have got in a pass with bias."""
 
     impulse: jax.Array  # [K] N s, of an impact 0
-    slope: jax.Array  # [K] J, it times what was wrong, from where the contact was come to and half of what it did
+    slope: jax.Array  # [K] J, it times what was wrong before it, and half of what it changed
     yielded: jax.Array  # [K] J, that its softness takes
     is_hit: jax.Array  # [K] bool, an impact that has changed
 

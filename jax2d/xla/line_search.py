@@ -6,9 +6,10 @@ joints answer to them, are taken 1 + more times, such that the energy of what is
 
     (1 + more) d M d = -(impulses) (what was wrong before)
 
-where d is what contacts have changed of velocities, projected onto what joints allow. That is the same whatever the
-order of contacts, and is never worse than what they left. No row leaves its bounds: contacts do not pull, motors give
-what they have. Impacts know their joints already (`contact_solver.solve_impact`): islands with one stay as they are.
+where d is what contacts have changed of velocities, projected onto what joints allow, and d M d includes what contacts
+yield. That is the same whatever the order of contacts. Contacts do not pull, and motors and limits stay within their
+bounds as far as they answer to contacts. Impacts know their joints already (`contact_solver.solve_impact`): islands
+with one stay as they are.
 """
 
 from __future__ import annotations

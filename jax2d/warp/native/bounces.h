@@ -97,7 +97,7 @@ struct Bounces {
     }
   }
 
-  // `given`: J, of it the surfaces give their share.
+  // `given`: J, of the bounces' change that is not theirs: less the work of moving surfaces.
   KFN real limit_island(Bodies& bodies, const Velocities& unbounced, const unsigned int* island, real max_energy, Vec2 gravity,
                         real h, real given) const {
     Islands::Change change = {real(0), given, real(0), max_energy};

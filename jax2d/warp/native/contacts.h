@@ -452,12 +452,12 @@ struct Contacts {
       pair.apply_impulse(arms.a, arms.b, c.normal * impulse);
       if (searched >= 0) {
         search.impulse[i] = impulse;
-        if (impulse != real(0)) {
+        if (impulse != real(0) && mass > real(0)) {
           // The contact's row is speed + bias / mass_scale + yields * impulse, which is to be zero.
-          real inverse = Fast::reciprocal(mass * mass_scale), yields = impulse_scale * inverse;
-          real wrong = vn + bias * mass * inverse + yields * had;
-          search.add(searched, impulse, total, wrong + real(0.5) * impulse * mass_scale * inverse, yields);
-          search.give(bodies, pair, arms, c.normal * impulse);
+          real yields = Fast::divide(impulse_scale, mass * mass_scale);
+          real wrong = vn + Fast::divide(bias, mass_scale) + yields * had;
+          real changed = c.normal.dot(search.give(bodies, pair, arms, c.normal * impulse));
+          search.add(searched, impulse, total, wrong + real(0.5) * changed, yields);
         }
       }
       if (!use_bias && (!bounces || is_of(c, with_friction))) {

@@ -127,10 +127,10 @@ struct Islands {
   struct Change {
     real mass, linear, quadratic, room;
 
-    // The largest that stays within `room`; in a form that loses no digits where the change is far too large.
-    KFN real share(real room) const {
+    // The largest that stays within `most`, J; in a form that loses no digits where the change is far too large.
+    KFN real share(real most) const {
       if (!(quadratic > real(0))) return real(1);
-      real half = real(0.5) * Fast::divide(linear, quadratic), r = Fast::divide(room, quadratic);
+      real half = real(0.5) * Fast::divide(linear, quadratic), r = Fast::divide(most, quadratic);
       real root = Fast::root(Math::max(half * half + r, real(0)));
       real share = half > real(0) ? Fast::divide(r, root + half) : root - half;
       return share > real(0) ? Math::min(share, real(1)) : real(0);

@@ -6,9 +6,10 @@
 //
 //   (1 + more) d M d = -(impulses) (what was wrong before)
 //
-// where d is what contacts have changed of velocities, projected onto what joints allow. That is the same whatever the
-// order of contacts, and is never worse than what they left. No row leaves its bounds: contacts do not pull, motors give
-// what they have. Impacts know their joints already (Contacts::solve_impact): islands with one stay as they are.
+// where d is what contacts have changed of velocities, projected onto what joints allow, and d M d includes what contacts
+// yield. That is the same whatever the order of contacts. Contacts do not pull, and motors and limits stay within their
+// bounds as far as they answer to contacts. Impacts know their joints already (Contacts::solve_impact): islands with one
+// stay as they are.
 
 struct LineSearch {
   ARRAY(real, impulse, SEARCHED_CONTACTS);  // that each contact has got
@@ -54,8 +55,8 @@ struct LineSearch {
     if (change < real(0)) most[island] = Math::min(most[island], total / -change);
   }
 
-  // To bodies, of a contact's impulse.
-  KFN void give(const Bodies& bodies, const Pair& masses, Arms arms, Vec2 impulse_on_b) {
+  // To bodies, of a contact's impulse. Returns by how much that changes the velocity of b against a at the contact.
+  KFN Vec2 give(const Bodies& bodies, const Pair& masses, Arms arms, Vec2 impulse_on_b) {
     Pair pair = masses.at_rest();
     pair.apply_impulse(arms.a, arms.b, impulse_on_b);
     if (bodies.moves(pair.a)) {
@@ -66,6 +67,7 @@ struct LineSearch {
       given_velocity[pair.b] = given_velocity[pair.b] + pair.velocity_b;
       given_omega[pair.b] += pair.omega_b;
     }
+    return pair.relative(arms.a, arms.b);
   }
 
   // What two bodies have been given.
