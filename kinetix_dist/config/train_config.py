@@ -11,6 +11,7 @@ import functools
 import hashlib
 import json
 import math
+import operator
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -170,6 +171,7 @@ _NEUTRAL = {
     ("curriculum", "filter_noop"): True,
     ("rollout", "reset_every"): 1,
     ("ppo", "noise_scale"): False,
+    ("env.physics", "line_search"): False,
 }
 
 
@@ -182,8 +184,9 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
         if section not in read:
             del counted["curriculum"][section]
     for (section, field), neutral in _NEUTRAL.items():
-        if counted[section][field] == neutral:
-            del counted[section][field]
+        place = functools.reduce(operator.getitem, section.split("."), counted)
+        if place[field] == neutral:
+            del place[field]
     del counted["env"]["shaping_discount"]  # where it counts it is ppo.discount
     counted["env"] = _before_rewards(counted["env"], usual=to_dict(EnvConfig()))
     phases = numbers_of_phases(config.schedule, config.phases)
