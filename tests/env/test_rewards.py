@@ -197,6 +197,7 @@ def before_rewards(config: TrainConfig, scale: float, *phase_scales: float) -> d
     data = to_dict(config)
     for name in ("reward", "shaping_discount"):
         del data["env"][name]
+    del data["env"]["physics"]["line_search"]  # which came later
     data["env"]["dense_reward_scale"] = scale
     old_names = [name for name in PHASE_NAMES if name != "reward"]
     for phase, phase_scale in zip(data["phases"], phase_scales, strict=True):
