@@ -24,8 +24,9 @@ DOCUMENTS = sorted([REPOSITORY / "README.md", *REPOSITORY.glob("docs/**/*.md"), 
 
 
 def is_ours(path: Path) -> bool:
-    """Below no folder with a dot, such as the environments of peers."""
-    return not any(part.startswith(".") for part in path.relative_to(REPOSITORY).parts)
+    """Below no folder with a dot, such as the environments of peers, nor where runs are."""
+    folders = path.relative_to(REPOSITORY).parts
+    return folders[0] != "runs" and not any(part.startswith(".") for part in folders)
 
 
 MARKDOWN = sorted(filter(is_ours, [*REPOSITORY.glob("*.md"), *REPOSITORY.glob("[a-z]*/**/*.md")]))
