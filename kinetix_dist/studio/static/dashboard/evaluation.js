@@ -115,7 +115,7 @@ function Levels({ run, data, set, withLevels }) {
     ${problem ? html`<p class="bad">${problem}</p>` : null}
     ${open !== null && !opened ? html`<p class="bad">no level ${open} in ${set}</p>` : null}
     <div class=${opened ? "with-drawer" : ""}>
-      <${Panel} title=${title} help=${`${attempts} attempts at each level; a column an evaluation (update); arrow keys, Enter, space`} rows=${csv} name=${`${run} ${title}`} wide=${true} picture=${false} buttons=${html`<button class="png" onClick=${png} title="the picture as PNG">PNG</button>`}>
+      <${Panel} title=${title} help=${`${attempts} ${attempts === "1" ? "attempt" : "attempts"} at each level; a column an evaluation (update); arrow keys, Enter, space`} rows=${csv} name=${`${run} ${title}`} wide=${true} picture=${false} buttons=${html`<button class="png" onClick=${png} title="the picture as PNG">PNG</button>`}>
         <${LevelMatrix} rows=${matrixRows} numbers=${numbers} columns=${columns.map((column) => column.label)} first=${["before"]} chosen=${opened?.key ?? null}
           open=${(/** @type {{ key: string }} */ row) => setQuery({ level: row.key })} close=${() => setQuery({ level: null })} check=${check} describe=${describe} label=${`solved attempts of the levels of ${set}; arrow keys move, Enter opens, space chooses`} />
         <${Choice} shown=${shown} chosen=${chosen} choose=${(/** @type {string[]} */ keys) => setChecked(new Set(keys))} />
