@@ -97,27 +97,62 @@ def max_work(
     return jnp.sum(motors) + jnp.sum(thrusters)
 
 
+# From these on a joint counts as open: ten times what one leaves that gives way in a hard scene of preset `standard`.
+OPEN_GAP_M = 0.01
+OPEN_TURN_RAD = 0.05  # as much at an arm of 20 cm
+
+
 def joint_gaps(scene: Scene, state: State) -> jax.Array:
     """Distance between the two anchors of each joint, of a slider across its axis, [J] m; zero for inactive joints."""
-    gap = _gap(scene.joints, state)
-    axis_angle = scene.joints.axis_angle + state.angle[scene.joints.a]
-    across = jnp.abs(jnp.cos(axis_angle) * gap[:, 1] - jnp.sin(axis_angle) * gap[:, 0])
-    distance = jnp.where(scene.joints.is_kind(JointKind.PRISMATIC), across, jnp.linalg.norm(gap, axis=-1))
-    return jnp.where(scene.joints.active, distance, 0.0)
+    return _joint_gaps(scene.joints, state.position, state.angle)
+
+
+def joint_turns(scene: Scene, state: State) -> jax.Array:
+    """Angle by which each weld and slider is off the one that it holds, [J] rad; zero for hinges and inactive ones."""
+    return _joint_turns(scene.joints, state.angle)
+
+
+def are_open(joints: Joints, position: Array, angle: Array) -> jax.Array:
+    """[J] bool: joints that do not hold, of shapes at `position` [n, 2] m and `angle` [n] rad.
+
+    A joint is open where its gap is above `OPEN_GAP_M` or its turn above `OPEN_TURN_RAD`. Joints that contradict each
+    other are (a bar pinned at two points that are farther apart than its holes), those of a mechanism that starts
+    apart, and those that more pulls at than the solver holds.
+    """
+    return (_joint_gaps(joints, position, angle) > OPEN_GAP_M) | (_joint_turns(joints, angle) > OPEN_TURN_RAD)
+
+
+def num_open(joints: Joints, position: Array, angle: Array) -> jax.Array:
+    """[] int32 of one world, see `are_open`."""
+    return jnp.sum(are_open(joints, position, angle), dtype=jnp.int32)
 
 
 def spring_lengths(scene: Scene, state: State) -> jax.Array:
     """Distance between the two anchors of each spring, [S] m, active or not."""
-    return jnp.linalg.norm(_gap(scene.springs, state), axis=-1)
+    return jnp.linalg.norm(_gap(scene.springs, state.position, state.angle), axis=-1)
 
 
-def _gap(ends: Joints | Springs, state: State) -> jax.Array:
+def _joint_gaps(joints: Joints, position: Array, angle: Array) -> jax.Array:
+    gap = _gap(joints, position, angle)
+    axis_angle = joints.axis_angle + angle[joints.a]
+    across = jnp.abs(jnp.cos(axis_angle) * gap[:, 1] - jnp.sin(axis_angle) * gap[:, 0])
+    distance = jnp.where(joints.is_kind(JointKind.PRISMATIC), across, jnp.linalg.norm(gap, axis=-1))
+    return jnp.where(joints.active, distance, 0.0)
+
+
+def _joint_turns(joints: Joints, angle: Array) -> jax.Array:
+    turn = angle[joints.b] - angle[joints.a] - joints.rest_angle
+    held = joints.active & ~joints.is_kind(JointKind.REVOLUTE)
+    return jnp.where(held, jnp.abs(turn - 2 * jnp.pi * jnp.round(turn / (2 * jnp.pi))), 0.0)
+
+
+def _gap(ends: Joints | Springs, position: Array, angle: Array) -> jax.Array:
     """Anchor on b from anchor on a, [k, 2] m."""
 
     def anchor(body: Array, local: Array) -> jax.Array:
-        c, s = jnp.cos(state.angle[body]), jnp.sin(state.angle[body])
+        c, s = jnp.cos(angle[body]), jnp.sin(angle[body])
         turned = jnp.stack([c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1]], -1)
-        return state.position[body] + turned
+        return position[body] + turned
 
     return anchor(ends.b, ends.anchor_b) - anchor(ends.a, ends.anchor_a)
 

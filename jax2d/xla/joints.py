@@ -240,6 +240,23 @@ def without_impulses(joints: Joints) -> Joints:
     return joints._replace(impulses=jax.tree.map(jnp.zeros_like, joints.impulses))
 
 
+def stretched(bodies: Bodies, joints: Joints, h: jax.Array) -> jax.Array:
+    """[n] inverse inertias with which bodies turn in a sub-step of h.
+
+    A joint that pulls along the arm it has holds its body against turning, by what it exerted in the sub-step before.
+    Where a sub-step is too long for the swing that comes of it the stiffness is treated implicitly: the body turns as
+    if its inertia were larger (geometric stiffness: Tournier et al. 2015, Andrews et al. 2017).
+    """
+    arm_a, arm_b = arms(bodies, joints)
+    impulse = jnp.where(joints.is_prismatic[:, None], 0, joints.impulses.point)
+    pull_a, pull_b = -h * vec2.dot(arm_a, impulse), h * vec2.dot(arm_b, impulse)
+    is_a, is_b = joints.pair.is_a, joints.pair.is_b
+    pull = jnp.maximum(jnp.where(is_a, pull_a[:, None], 0), jnp.where(is_b, pull_b[:, None], 0))
+    inertia = jnp.max(pull, axis=0, initial=0)  # stiffness x h^2
+    is_stiff = inertia * bodies.inverse_inertia > 1
+    return jnp.where(is_stiff, 1 / jnp.where(is_stiff, inertia, 1), bodies.inverse_inertia)
+
+
 class PlacedJoints(NamedTuple):
     """Rows of the joints and their system, as the bodies stood when it was made."""
 

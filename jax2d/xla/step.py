@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
+from jax2d.measure import num_open
 from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, pack_bits
 from jax2d.solver_numbers import SolverNumbers
 from jax2d.xla import bodies as bodies_of
@@ -86,6 +87,7 @@ def run(
         during=pack_bits(jnp.any(touch, axis=0)),
         overflow=jnp.sum(overflow, dtype=jnp.int32),
         limited=jnp.sum(limited, dtype=jnp.int32),
+        open_joints=num_open(scene.joints, state.position, state.angle),
         contacts=None if tally is None else reports.report_of(jax.tree.map(lambda x: x[-1], tally)),
     )
 
@@ -146,12 +148,17 @@ def soft_step(
         driven = bodies_of.apply_damping(driven, scene, h)
         v_substep_start = choose(stopped, v_substep_start, driven.velocities)
         driven = springs_of.warm_start(driven, joints.springs)
-        joints = choose(stopped, joints, joints_of.without_impulses(joints))
         driven, warm_contacts = contact_solver.warm_start(driven, contacts)
+        turning = joints_of.stretched(driven, joints, h)
+        driven = bodies_of.with_momentum(driven, turning)
+        joints = choose(stopped, joints, joints_of.without_impulses(joints))
+        turning = jnp.where(stopped, driven.inverse_inertia, turning)
         bodies, contacts = choose(stopped, (bodies, contacts), (driven, warm_contacts))
         solved = found | ~stopped
         rows = joints_of.constraints(bodies, joints)
-        bodies, joints, contacts = _solve_passes(Solved(bodies, joints, contacts), islands, params, rules, only=solved)
+        bodies, joints, contacts = _solve_passes(
+            Solved(bodies, joints, contacts), islands, params, rules, only=solved, turning=turning
+        )
         # Islands of bodies that would now go farther than was predicted are stopped before they move: their contacts
         # are found again, from here on in each sub-step.
         outrunning = outruns_contacts(
@@ -254,11 +261,13 @@ def _solve_passes(
     rules: Rules,
     *,
     only: jax.Array,
+    turning: jax.Array | None = None,
     sharing: tuple[PlacedJoints, jax.Array] | None = None,
 ) -> Solved:
     """Passes with bias, or without: joints are not relaxed, since with bias they have the velocities that keep anchors
-    together. `only`: the bodies [n] that this is about. sharing: without bias, joints as the bodies stand, and [] bool
-    whether they are solved all the same, since an island has gained energy.
+    together. `only`: the bodies [n] that this is about. `turning`: their inverse inertias [n], with bias. sharing:
+    without bias, joints as the bodies stand, and [] bool whether they are solved all the same, since an island has
+    gained energy.
 
     Joints, contacts, and joints again: so each has what the other answers. With bias, where a speed limit takes back
     what stops a body, the rest of it is solved again with all of its island: what is jointed keeps its spin at the
@@ -280,7 +289,7 @@ def _solve_passes(
             shared = joints_of.solve_soft(now.bodies, now.joints, standing, params, now.active, use_bias=False)
             bodies, joints, moved = choose(has_gained, shared, (bodies, joints, moved))
         else:
-            now = _with_inertia(now, jnp.where(now.held, 0, start.bodies.inverse_inertia))
+            now = _with_inertia(now, jnp.where(now.held, 0, turning))
             standing = joints_of.place(now.bodies, now.joints)
             bodies, joints, moved = joints_of.solve_soft(
                 now.bodies, now.joints, standing, params, now.active, use_bias=True

@@ -11,7 +11,7 @@ struct Bodies {
   int limited;                        // shapes on which a speed limit acted, each once a step
   ARRAY(unsigned int, slowed, SHAPE_WORDS);  // a bit a shape on which one has acted in this step
 
-  ARRAY(unsigned int, held_spins, SHAPE_WORDS);
+  ARRAY(unsigned int, held_spins, SHAPE_WORDS);  // a bit a shape that is not turned by its own inertia for now
 
   // What solving uses of a body. On a GPU much of it is in shared memory: the worlds of a warp use different bodies at
   // a time, and in local memory that would be a transaction for each world and a wait for the slowest.
@@ -178,6 +178,16 @@ struct Bodies {
     return true;
   }
 
+  // A joint that pulls along the arm it has holds its body against turning: stiffness x h^2 is `inertia`. Where that is more
+  // than the body's, a sub-step is too long for the swing that comes of it: the body keeps its angular momentum, and turns as
+  // if its inertia were that much, until it is released.
+  KFN void stretch(int i, real inertia) {
+    real share = inertia * inverse_inertia(i);
+    if (share <= real(1)) return;
+    set_omega(i, omega(i) / share);
+    at(i, INVERSE_INERTIA) = real(1) / inertia;
+    add(held_spins, i);
+  }
   // A spin at its limit is not changed by anything, until it is released.
   KFN void hold_spin(int i, real max_omega) {
     if (Math::abs(omega(i)) < max_omega) return;

@@ -167,10 +167,17 @@ struct Joints {
     return JointRows::of(joint.common_a, joint.common_b, third, is_weld);
   }
 
-  // Of a sub-step. Joints need no warm start: they are solved directly.
-  KFN void begin(Bodies& bodies) {
-    springs.warm_start(bodies);
-    for (int k = 0; k < count; ++k) reset_impulses(k);
+  // Of a sub-step. Joints need no warm start: they are solved directly. What they exerted in the one before says how stiffly
+  // their bodies are held against turning.
+  KFN void begin(Bodies& bodies, real h) {
+    for (int k = 0; k < count; ++k) {
+      const Joint& joint = list[k];
+      if (!joint.is_prismatic()) {
+        bodies.stretch(joint.a, -h * bodies.rotation[joint.a].apply(joint.local_a).dot(joint.impulse));
+        bodies.stretch(joint.b, h * bodies.rotation[joint.b].apply(joint.local_b).dot(joint.impulse));
+      }
+      reset_impulses(k);
+    }
   }
 
   KFN void reset_impulses(int k) {

@@ -105,8 +105,9 @@ struct World {
         ExternalForces::apply(bodies, controls, h);
         bodies.apply_damping(scene, h);
         islands.begin(bodies);
-        joints.begin(bodies);
+        joints.springs.warm_start(bodies);
         contacts.warm_start(bodies);
+        joints.begin(bodies, h);
         if (reports) report.warm_start(contacts);
       }
       unsigned int solved[SHAPE_WORDS], ending[SHAPE_WORDS];

@@ -1,0 +1,127 @@
+"""Mechanisms whose constraints contradict each other: they stay finite, their gaps are reported, and counted."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, measure, preset, stack_worlds
+
+CAPACITY = Capacity(polygons=5, circles=0, joints=5, thrusters=0)
+PRESETS = ("draft", "standard", "fine")
+BACKENDS = ("warp", "xla")
+
+
+def bar_between_posts(apart: float) -> BuiltWorld:
+    """A bar of 1 m that is pinned at both ends to fixed posts, which are by so much farther apart than its holes."""
+    builder = SceneBuilder(CAPACITY)
+    left, right = (builder.add_box(width=0.2, height=0.2, position=(x, 0), fixed=True) for x in (0.0, 1.0))
+    bar = builder.add_box(width=1, height=0.1, position=(0.5, 0))
+    builder.add_revolute_joint(left, bar, at=(0, 0))
+    builder.add_revolute_joint(right, bar, at=(1, 0))
+    return moved(builder.build(), right, (apart, 0))
+
+
+def loop_that_cannot_close() -> BuiltWorld:
+    """Three bars of 1 m in a row from post to post, 10 m apart: farther than they reach."""
+    builder = SceneBuilder(CAPACITY)
+    left, right = (builder.add_box(width=0.2, height=0.2, position=(x, 0), fixed=True) for x in (0.0, 3.0))
+    bars = [builder.add_box(width=1, height=0.1, position=(k + 0.5, 0)) for k in range(3)]
+    for k, (a, b) in enumerate(zip([left, *bars], [*bars, right])):
+        builder.add_revolute_joint(a, b, at=(k, 0))
+    return moved(builder.build(), right, (7, 0))
+
+
+def welds_that_disagree() -> BuiltWorld:
+    """A bar that is welded to two posts, one of which has turned by half a radian since."""
+    builder = SceneBuilder(CAPACITY)
+    left, right = (builder.add_box(width=0.2, height=0.2, position=(x, 0), fixed=True) for x in (0.0, 1.0))
+    bar = builder.add_box(width=1, height=0.1, position=(0.5, 0))
+    builder.add_fixed_joint(left, bar, at=(0, 0))
+    builder.add_fixed_joint(right, bar, at=(1, 0))
+    world = builder.build()
+    angle = np.array(world.angle)
+    angle[right] += 0.5
+    return world._replace(angle=angle)
+
+
+def moved(world: BuiltWorld, shape: int, by: tuple[float, float]) -> BuiltWorld:
+    position = np.array(world.position)
+    position[shape] += by
+    return world._replace(position=position)
+
+
+CONTRADICTIONS = [bar_between_posts(0.5), bar_between_posts(20.0), loop_that_cannot_close(), welds_that_disagree()]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("name", PRESETS)
+def test_what_contradicts_itself_stays_finite_comes_to_rest_and_is_counted(name: str, backend: str) -> None:
+    engine = Engine(CAPACITY, settings=preset(name), backend=backend)
+    scene = stack_worlds([world.scene for world in CONTRADICTIONS])
+    start = stack_worlds([engine.initial_state(*world) for world in CONTRADICTIONS])
+    state, touching = jax.jit(lambda state: engine.step(scene, state, num_steps=600))(start)
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(state))
+    energy = jax.vmap(measure.kinetic_energy)(scene, state)
+    assert float(energy.max()) < 1e-3  # J, of up to 0.3 kg; stretched joints hold still
+    gaps, turns = (np.asarray(jax.vmap(f)(scene, state)) for f in (measure.joint_gaps, measure.joint_turns))
+    is_open = (gaps > measure.OPEN_GAP_M) | (turns > measure.OPEN_TURN_RAD)
+    assert np.asarray(touching.open_joints).tolist() == is_open.sum(-1).tolist()
+    assert is_open.any(-1).all()
+    # What is missing is missing: a gap cannot be smaller than the mechanism is too short.
+    assert gaps[0].sum() == pytest.approx(0.5, abs=0.01)
+    assert gaps[1].sum() == pytest.approx(20.0, abs=0.01)
+    assert gaps[2].sum() == pytest.approx(7.0, abs=0.05)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_joints_that_hold_are_not_counted_and_one_that_starts_apart_is_until_it_has_closed(backend: str) -> None:
+    engine = Engine(CAPACITY, backend=backend)
+    builder = SceneBuilder(CAPACITY)
+    post = builder.add_box(width=0.2, height=0.2, fixed=True)
+    arm = builder.add_box(width=1, height=0.1, position=(0.5, 0))
+    builder.add_revolute_joint(post, arm, at=(0, 0))
+    holds = builder.build()
+    apart = moved(holds, arm, (0.3, 0))  # closes at 3 m/s
+    scene = stack_worlds([holds.scene, apart.scene])
+    state = stack_worlds([engine.initial_state(*world) for world in (holds, apart)])
+    counted = []
+    for _ in range(30):
+        state, touching = engine.step(scene, state)
+        counted.append(touching.open_joints.tolist())
+    holding, closing = zip(*counted)
+    assert not any(holding)
+    assert closing[0] == 1 and closing[-1] == 0
+
+
+def test_turns_are_those_of_welds_and_sliders_and_full_turns_are_none() -> None:
+    builder = SceneBuilder(CAPACITY)
+    post = builder.add_box(width=0.2, height=0.2, fixed=True)
+    parts = [builder.add_box(width=0.2, height=0.2, position=(x, 0)) for x in (1.0, 2.0, 3.0)]
+    builder.add_fixed_joint(post, parts[0], at=(0.5, 0))
+    builder.add_prismatic_joint(post, parts[1], at=(1, 0), axis_angle=0.0)
+    builder.add_revolute_joint(post, parts[2], at=(1.5, 0))
+    world = builder.build()
+    state = Engine(CAPACITY).initial_state(*world)
+    angle = jnp.asarray(state.angle).at[jnp.array(parts)].set(jnp.array([0.1, 2 * math.pi - 0.2, 0.3]))
+    turns = measure.joint_turns(world.scene, dataclasses.replace(state, angle=angle))
+    assert np.asarray(turns) == pytest.approx([0.1, 0.2, 0, 0, 0], abs=1e-5)
+
+
+def test_packed_worlds_count_alike_inside_jit_and_sorted() -> None:
+    engine = Engine(CAPACITY)
+    worlds = [bar_between_posts(apart) for apart in (0.0, 0.5)] * 3
+    scene = stack_worlds([world.scene for world in worlds])
+    start = stack_worlds([engine.initial_state(*world) for world in worlds])
+    packed_scene, packed, order = engine.pack_sorted(scene, start)
+
+    @jax.jit
+    def counts(packed_scene, packed):
+        return engine.step_packed(packed_scene, packed, engine.no_controls(6), 10)[1]
+
+    assert order.restore(counts(packed_scene, packed)).open_joints.tolist() == [0, 2] * 3
