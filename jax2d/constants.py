@@ -167,6 +167,10 @@ class Constants:
         "1: it overshoots with any force",
     )
     # Joints
+    open_gap: float = _constant(
+        0.01, "m", "a joint whose anchors are farther apart is counted as open", "0.001: links that yield are counted"
+    )
+    open_turn: float = _constant(0.05, "rad", "as much at an arm of 20 cm, of welds and sliders")
     joint_compliance: float = _constant(
         1e-3,
         "of the inverse masses of two bodies",

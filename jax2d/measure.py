@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from jax2d.constants import CONSTANTS as C
 from jax2d.fields import Array
 from jax2d.scene import Controls, JointDrive, JointKind, Joints, Scene, Springs, State
 from jax2d.settings import Settings
@@ -97,11 +98,6 @@ def max_work(
     return jnp.sum(motors) + jnp.sum(thrusters)
 
 
-# From these on a joint counts as open: ten times what one leaves that gives way in a hard scene of preset `standard`.
-OPEN_GAP_M = 0.01
-OPEN_TURN_RAD = 0.05  # as much at an arm of 20 cm
-
-
 def joint_gaps(scene: Scene, state: State) -> jax.Array:
     """Distance between the two anchors of each joint, of a slider across its axis, [J] m; zero for inactive joints."""
     return _joint_gaps(scene.joints, state.position, state.angle)
@@ -115,16 +111,11 @@ def joint_turns(scene: Scene, state: State) -> jax.Array:
 def are_open(joints: Joints, position: Array, angle: Array) -> jax.Array:
     """[J] bool: joints that do not hold, of shapes at `position` [n, 2] m and `angle` [n] rad.
 
-    A joint is open where its gap is above `OPEN_GAP_M` or its turn above `OPEN_TURN_RAD`. Joints that contradict each
+    A joint is open where its gap is above 1 cm or its turn above 0.05 rad (`constants.py`). Joints that contradict each
     other are (a bar pinned at two points that are farther apart than its holes), those of a mechanism that starts
     apart, and those that more pulls at than the solver holds.
     """
-    return (_joint_gaps(joints, position, angle) > OPEN_GAP_M) | (_joint_turns(joints, angle) > OPEN_TURN_RAD)
-
-
-def num_open(joints: Joints, position: Array, angle: Array) -> jax.Array:
-    """[] int32 of one world, see `are_open`."""
-    return jnp.sum(are_open(joints, position, angle), dtype=jnp.int32)
+    return (_joint_gaps(joints, position, angle) > C.open_gap) | (_joint_turns(joints, angle) > C.open_turn)
 
 
 def spring_lengths(scene: Scene, state: State) -> jax.Array:

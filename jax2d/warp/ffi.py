@@ -24,9 +24,8 @@ import warp as wp
 
 from jax2d.contact_report import ContactReport, contact_report
 from jax2d.effects import Effects
-from jax2d.fields import Array, Field, fields_of, make, num_elements
-from jax2d.measure import num_open
-from jax2d.scene import BackendReport, Capacity, Controls, Joints, Scene, State, only_what_acts, pack_bits
+from jax2d.fields import Array, Field, fields_of, num_elements
+from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, only_what_acts, pack_bits
 from jax2d.settings import Settings
 from jax2d.solver_numbers import flat, solver_numbers
 from jax2d.warp.kernel import make_kernel
@@ -39,7 +38,6 @@ from jax2d.warp.layout import (
     scene_floats,
     state_floats,
     whole_numbers,
-    word_constants,
 )
 from jax2d.warp.source import PARAMETERS
 from jax2d.warp.startup import start
@@ -148,30 +146,6 @@ def _quantities(capacity: Capacity, table: str, rows: Array) -> list[jax.Array]:
     return found
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def _num_open(capacity: Capacity, scene: SceneTables, state: StateTables) -> jax.Array:
-    """[W] int32, see `Touching.open_joints`."""
-    position, angle, *_ = _quantities(capacity, "STATE", state.bodies)
-    return jax.vmap(num_open)(_joints(capacity, scene), position, angle)
-
-
-def _joints(capacity: Capacity, tables: SceneTables) -> Joints:
-    """[W, J] of each field, read back from the tables."""
-    rows, sizes = Layout(capacity).rows(), capacity.sizes
-    first, constants = rows["INTS"]["JOINTS"], word_constants()
-    words = tables.ints[first : first + capacity.joints].T
-
-    def read(field: Field) -> jax.Array:
-        name = cpp_name(dataclasses.replace(field, path=("joints", *field.path)))
-        if field.bits is not None:
-            number = words >> constants[f"{name}_SHIFT"] & constants[f"{name}_MASK"]
-            return number.astype(bool) if field.kind is bool else number
-        start = rows["SCENE"][name]
-        return _worlds_first(tables.floats[start : start + num_elements(field, sizes)], *field.shape(sizes))
-
-    return make(Joints, read)
-
-
 class WarpBackend:
     """Steps batches of worlds of one capacity with one kernel launch a call."""
 
@@ -247,7 +221,6 @@ class WarpBackend:
             state.impulses,
             state.keys,
         )
-        stepped = StateTables(bodies=bodies, impulses=impulses, keys=keys)
         bits = jax.lax.bitcast_convert_type(out, jnp.uint32)
         height = c.shapes * c.touch_words
         report = BackendReport(
@@ -255,10 +228,10 @@ class WarpBackend:
             during=_worlds_first(bits[rows["DURING"] : rows["DURING"] + height], c.shapes, c.touch_words),
             overflow=out[rows["OVERFLOW"]],
             limited=out[rows["LIMITED"]],
-            open_joints=_num_open(c, scene, stepped),
+            open_joints=out[rows["OPEN_JOINTS"]],
             contacts=self._contacts(out) if self.report_contacts else None,
         )
-        return stepped, report
+        return StateTables(bodies=bodies, impulses=impulses, keys=keys), report
 
     def _contacts(self, out: Array) -> ContactReport:
         first, slots = self.rows["OUT"], self.capacity.contact_slots

@@ -92,7 +92,7 @@ class Layout:
             },
             "CONTROLS": _stack({cpp_name(field): num_elements(field, sizes) for field in fields_of(Controls)}),
             "OUT": _stack(
-                {"AT_END": c.shapes * words, "DURING": c.shapes * words, "OVERFLOW": 1, "LIMITED": 1}
+                {"AT_END": c.shapes * words, "DURING": c.shapes * words, "OVERFLOW": 1, "LIMITED": 1, "OPEN_JOINTS": 1}
                 | {name: height * (c.contact_slots if self.report_contacts else 0) for name, height in REPORT_ROWS}
                 | {"CONTACT_DROPPED": int(self.report_contacts)}
             ),

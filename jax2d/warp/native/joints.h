@@ -454,6 +454,21 @@ struct Joints {
     if (list[k].is_prismatic()) axis[k] = bodies.rotation[list[k].a].apply(local_axis[k]);
   }
 
+  // Those that do not hold as the bodies stand (`measure.are_open`).
+  KFN int num_open(const Bodies& bodies) {
+    int number = 0;
+    for (int k = 0; k < count; ++k) {
+      place(bodies, k);
+      const Joint& joint = list[k];
+      Vec2 gap = joint.apart;
+      if (joint.is_prismatic()) gap = axis[k].left() * axis[k].left().dot(gap);
+      bool turns = joint.is_fixed() || joint.is_prismatic();
+      real turn = turns ? Angle::near(joint.current_angle(bodies), real(0)) : real(0);
+      if (gap.dot(gap) > OPEN_GAP * OPEN_GAP || Math::abs(turn) > OPEN_TURN) ++number;
+    }
+    return number;
+  }
+
   // Where servos aim, all axes that they turn held.
   KFN void aim_servos(const Bodies& bodies, const unsigned int* which, const Soft& soft) {
     for (EachJoint k = EachJoint::of(which); k.next();) {

@@ -58,6 +58,7 @@ struct World {
     }
     out.set(OUT_OVERFLOW, overflow);
     out.set(OUT_LIMITED, bodies.limited);
+    out.set(OUT_OPEN_JOINTS, joints.num_open(bodies));
   }
 
   // Soft-step sub-stepping (Box2D v3): contacts found once, then solved in sub-steps of h.
