@@ -141,14 +141,6 @@ def move(bodies: Bodies, dt: Scalar, max_speed: Scalar, max_omega: Scalar, which
     )
 
 
-def with_momentum(bodies: Bodies, inverse_inertia: jax.Array) -> Bodies:
-    """Bodies with the spins that their angular momenta are at these inverse inertias [n]."""
-    own = bodies.inverse_inertia
-    share = jnp.where(own > 0, inverse_inertia / jnp.where(own > 0, own, 1), 1)
-    velocities = bodies.velocities._replace(omega=bodies.velocities.omega * share)
-    return bodies._replace(velocities=velocities)
-
-
 class Pair(NamedTuple):
     """Bodies a and b of each of any number of constraints: leading axes `...` are the constraints'."""
 

@@ -104,8 +104,8 @@ def energy_bound(bodies: Bodies, v_substep_start: Velocities, drift: jax.Array, 
 def energy_gained(
     islands: Islands, bodies: Bodies, joints: Joints, rows: Constraints, contacts: Contacts, bound: EnergyBound
 ) -> tuple[jax.Array, jax.Array]:
-    """[n] J, what the island of each body has more than it may have (0: nothing, or no contact holds it), and the work
-    that motors, springs and what carries have done to it."""
+    """[n] J, what the island of each body has more than it may have, and the work that motors, springs and what carries
+    have done to it."""
     gain = bodies_of.kinetic_energy(bodies, bodies.velocities, bound.drift) - bound.energy
     work = (
         (contacts.pair, contact_solver.surface_work(bodies, contacts, bound.h)),
@@ -116,9 +116,7 @@ def energy_gained(
         ),
     )
     gain, work = islands.sums(gain), islands.sums(by_body(bodies, work))
-    holding = by_body(bodies, ((contacts.pair, contacts.key >= 0),)) > 0
-    is_held = jnp.any(islands.together & holding, axis=1)
-    return jnp.where(bodies.is_dynamic & is_held & (gain > 0), jnp.maximum(gain - work, 0), 0), work
+    return jnp.where(bodies.is_dynamic & (gain > 0), jnp.maximum(gain - work, 0), 0), work
 
 
 def limit_gains(

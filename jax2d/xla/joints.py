@@ -241,18 +241,30 @@ def without_impulses(joints: Joints) -> Joints:
 
 
 def stretched(bodies: Bodies, joints: Joints, h: jax.Array) -> jax.Array:
-    """[n] inverse inertias with which bodies turn in a sub-step of h.
+    """[n] inverse inertias by which spins change in a sub-step of h.
 
     A joint that pulls along the arm it has holds its body against turning, by what it exerted in the sub-step before.
-    Where a sub-step is too long for the swing that comes of it the stiffness is treated implicitly: the body turns as
-    if its inertia were larger (geometric stiffness: Tournier et al. 2015, Andrews et al. 2017).
+    Where a sub-step is too long for the swing that comes of it, the body has stiffness x h^2 as its inertia (geometric
+    stiffness: Tournier et al. 2015, Andrews et al. 2017). What turns is the body and, as far as the other's anchor
+    holds still, its mass at the arm: a bob on a pivot swings as slowly as its arm is long.
     """
     arm_a, arm_b = arms(bodies, joints)
     impulse = jnp.where(joints.is_prismatic[:, None], 0, joints.impulses.point)
-    pull_a, pull_b = -h * vec2.dot(arm_a, impulse), h * vec2.dot(arm_b, impulse)
-    is_a, is_b = joints.pair.is_a, joints.pair.is_b
-    pull = jnp.maximum(jnp.where(is_a, pull_a[:, None], 0), jnp.where(is_b, pull_b[:, None], 0))
-    inertia = jnp.max(pull, axis=0, initial=0)  # stiffness x h^2
+    pair = joints.pair
+    moves_a = pair.mass_a + pair.inertia_a * vec2.dot(arm_a, arm_a)
+    moves_b = pair.mass_b + pair.inertia_b * vec2.dot(arm_b, arm_b)
+
+    def of_side(
+        is_it: jax.Array, pull: jax.Array, arm: jax.Array, mass: jax.Array, other: jax.Array, inertia: jax.Array
+    ) -> jax.Array:
+        """[J, n] kg m^2, stiffness x h^2 where it is too much."""
+        still = vec2.inverse_or_zero(mass + other)
+        is_stiff = pull * inertia > 1 + vec2.dot(arm, arm) * mass * still * still * inertia
+        return jnp.where(is_it & is_stiff[:, None], pull[:, None], 0)
+
+    a = of_side(pair.is_a, -h * vec2.dot(arm_a, impulse), arm_a, pair.mass_a, moves_b, pair.inertia_a)
+    b = of_side(pair.is_b, h * vec2.dot(arm_b, impulse), arm_b, pair.mass_b, moves_a, pair.inertia_b)
+    inertia = jnp.max(jnp.maximum(a, b), axis=0, initial=0)
     is_stiff = inertia * bodies.inverse_inertia > 1
     return jnp.where(is_stiff, 1 / jnp.where(is_stiff, inertia, 1), bodies.inverse_inertia)
 

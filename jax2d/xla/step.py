@@ -150,7 +150,6 @@ def soft_step(
         driven = springs_of.warm_start(driven, joints.springs)
         driven, warm_contacts = contact_solver.warm_start(driven, contacts)
         turning = joints_of.stretched(driven, joints, h)
-        driven = bodies_of.with_momentum(driven, turning)
         joints = choose(stopped, joints, joints_of.without_impulses(joints))
         turning = jnp.where(stopped, driven.inverse_inertia, turning)
         bodies, contacts = choose(stopped, (bodies, contacts), (driven, warm_contacts))

@@ -34,7 +34,7 @@ COLOURS = """(canvas) => {
   return seen.size;
 }"""
 
-# Colours of a level that was never solved, over many evaluations: its cells, which are too narrow for numbers, and gaps.
+# Colours of a level that was never solved, over many evaluations: cells too narrow for numbers, and gaps.
 STRIP = 2
 
 # How many pixels of a canvas have exactly a colour.

@@ -178,13 +178,16 @@ struct Bodies {
     return true;
   }
 
-  // A joint that pulls along the arm it has holds its body against turning: stiffness x h^2 is `inertia`. Where that is more
-  // than the body's, a sub-step is too long for the swing that comes of it: the body keeps its angular momentum, and turns as
-  // if its inertia were that much, until it is released.
-  KFN void stretch(int i, real inertia) {
-    real share = inertia * inverse_inertia(i);
+  // A joint that pulls along `arm` holds its body against turning: stiffness x h^2 is `inertia`. Where that is more than what
+  // turns, a sub-step is too long for the swing that comes of it: to what changes its spin in this one, until it is released,
+  // the body has that inertia. What turns is the body and, as far as the other's anchor holds still, its mass at the arm: a
+  // bob on a pivot swings as slowly as its arm is long.
+  KFN void stretch(int i, Vec2 arm, real inertia, int other, Vec2 other_arm) {
+    real share = inertia * inverse_inertia(i), own = inverse_mass(i);
     if (share <= real(1)) return;
-    set_omega(i, omega(i) / share);
+    real other_moves = Fused::of(inverse_inertia(other), other_arm.dot(other_arm), inverse_mass(other));
+    real still = Math::inverse_or_zero(own + other_moves);  // times own: 1 where the other's anchor does not move
+    if (share <= Fused::of(arm.dot(arm) * own * still, still * inverse_inertia(i), real(1))) return;
     at(i, INVERSE_INERTIA) = real(1) / inertia;
     add(held_spins, i);
   }

@@ -233,13 +233,9 @@ struct Islands {
   // Marks the bodies of islands that have gained energy, of those marked where `again`. Returns whether there are any.
   KFN bool find_gains(const Bodies& bodies, const Contacts& contacts, const Joints& joints, real h, bool again,
                       unsigned int* gaining) {
-    unsigned int held[SHAPE_WORDS];  // a bit an island, at its first body: a contact holds it
-    Bodies::clear(held);
-    for (int k = 0; k < contacts.count; ++k) Bodies::add(held, of(bodies, contacts.list[k].a, contacts.list[k].b));
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) gain[each.shape] = real(0);
     for (Bodies::Each each = Bodies::Each::of(bodies.moving); each.next();) {
       int i = each.shape;
-      if (!Bodies::has(held, first[i])) continue;
       gain[first[i]] += kinetic_energy(bodies, i, bodies.velocity(i), bodies.omega(i)) - may_have(bodies, i, h);
     }
     bool any = false;

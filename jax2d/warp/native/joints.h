@@ -173,8 +173,9 @@ struct Joints {
     for (int k = 0; k < count; ++k) {
       const Joint& joint = list[k];
       if (!joint.is_prismatic()) {
-        bodies.stretch(joint.a, -h * bodies.rotation[joint.a].apply(joint.local_a).dot(joint.impulse));
-        bodies.stretch(joint.b, h * bodies.rotation[joint.b].apply(joint.local_b).dot(joint.impulse));
+        Vec2 arm_a = bodies.rotation[joint.a].apply(joint.local_a), arm_b = bodies.rotation[joint.b].apply(joint.local_b);
+        bodies.stretch(joint.a, arm_a, -h * arm_a.dot(joint.impulse), joint.b, arm_b);
+        bodies.stretch(joint.b, arm_b, h * arm_b.dot(joint.impulse), joint.a, arm_a);
       }
       reset_impulses(k);
     }

@@ -272,7 +272,7 @@ struct World {
 
   // `of_gaining`: of the islands in it alone.
   KFN bool gains_energy(real h, bool of_gaining, unsigned int* gaining) {
-    if (contacts.count == 0) return false;
+    if (contacts.count + joints.count + joints.springs.count == 0) return false;
     return islands.find_gains(bodies, contacts, joints, h, of_gaining, gaining);
   }
 
