@@ -19,8 +19,8 @@ def test_tables_hold_as_many_bytes_as_the_layout_says() -> None:
     expected = table_bytes(CAPACITY)
     for name, tree in (("scene", scene.tables), ("state", state), ("controls", controls)):
         assert expected[name] == sum(leaf.nbytes for leaf in jax.tree.leaves(tree)), name
-    # Bits of who touches whom, at the end and during the call, and two counters.
-    assert expected["out"] == 4 * (2 * CAPACITY.shapes * CAPACITY.touch_words + 2)
+    # Bits of who touches whom, at the end and during the call, and three counters.
+    assert expected["out"] == 4 * (2 * CAPACITY.shapes * CAPACITY.touch_words + 3)
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ BROKEN = [
     Broken("order: slots of shapes, on a floor", PRESETS, CONTACTS),
     Broken("order: ends of sliders", PRESETS, AXIS),
     Broken("order: symmetric billiard break", PRESETS, CONTACTS),
+    Broken("order: symmetric bridge", ("draft",), CONTACTS),
     Broken("order: symmetric pile", PRESETS, CONTACTS),
     Broken("order: symmetric welded cross", ("draft", "standard"), CONTACTS),
 ]
