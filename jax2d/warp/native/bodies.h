@@ -182,12 +182,13 @@ struct Bodies {
   // turns, a sub-step is too long for the swing that comes of it: to what changes its spin in this one, until it is released,
   // the body has that inertia. What turns is the body and, as far as the other's anchor holds still, its mass at the arm: a
   // bob on a pivot swings as slowly as its arm is long.
-  KFN void stretch(int i, Vec2 arm, real inertia, int other, Vec2 other_arm) {
-    real share = inertia * inverse_inertia(i), own = inverse_mass(i);
-    if (share <= real(1)) return;
-    real other_moves = Fused::of(inverse_inertia(other), other_arm.dot(other_arm), inverse_mass(other));
-    real still = Math::inverse_or_zero(own + other_moves);  // times own: 1 where the other's anchor does not move
-    if (share <= Fused::of(arm.dot(arm) * own * still, still * inverse_inertia(i), real(1))) return;
+  KFN void stretch(const Column& scene, int i, Vec2 arm, real inertia, int other, Vec2 other_arm) {
+    if (inertia * inverse_inertia(i) <= real(1)) return;
+    // By their own inertias, whatever another joint has made of them: no order of joints decides.
+    real own = scene.get(SCENE_SHAPES_INVERSE_INERTIA + Slot::of(i)), mass = inverse_mass(i);
+    real others = is_dynamic(other) ? scene.get(SCENE_SHAPES_INVERSE_INERTIA + Slot::of(other)) : real(0);
+    real still = Math::inverse_or_zero(mass + Fused::of(others, other_arm.dot(other_arm), inverse_mass(other)));
+    if (inertia * own <= Fused::of(arm.dot(arm) * mass * still, still * own, real(1))) return;
     at(i, INVERSE_INERTIA) = real(1) / inertia;
     add(held_spins, i);
   }

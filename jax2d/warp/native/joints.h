@@ -169,13 +169,13 @@ struct Joints {
 
   // Of a sub-step. Joints need no warm start: they are solved directly. What they exerted in the one before says how stiffly
   // their bodies are held against turning.
-  KFN void begin(Bodies& bodies, real h) {
+  KFN void begin(Bodies& bodies, const Column& scene, real h) {
     for (int k = 0; k < count; ++k) {
       const Joint& joint = list[k];
       if (!joint.is_prismatic()) {
         Vec2 arm_a = bodies.rotation[joint.a].apply(joint.local_a), arm_b = bodies.rotation[joint.b].apply(joint.local_b);
-        bodies.stretch(joint.a, arm_a, -h * arm_a.dot(joint.impulse), joint.b, arm_b);
-        bodies.stretch(joint.b, arm_b, h * arm_b.dot(joint.impulse), joint.a, arm_a);
+        bodies.stretch(scene, joint.a, arm_a, -h * arm_a.dot(joint.impulse), joint.b, arm_b);
+        bodies.stretch(scene, joint.b, arm_b, h * arm_b.dot(joint.impulse), joint.a, arm_a);
       }
       reset_impulses(k);
     }

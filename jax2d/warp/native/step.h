@@ -108,7 +108,7 @@ struct World {
         islands.begin(bodies);
         joints.springs.warm_start(bodies);
         contacts.warm_start(bodies);
-        joints.begin(bodies, h);
+        joints.begin(bodies, scene, h);
         if (reports) report.warm_start(contacts);
       }
       unsigned int solved[SHAPE_WORDS], ending[SHAPE_WORDS];
