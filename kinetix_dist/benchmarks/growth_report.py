@@ -1,4 +1,4 @@
-"""Report of `bench engine growth`: exponents, tables in Markdown as docs/engine.md shows them, and a picture."""
+"""Report of `bench engine growth`: exponents, tables in Markdown as docs/engine_speed.md shows them, and a picture."""
 
 from __future__ import annotations
 
