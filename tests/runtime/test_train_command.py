@@ -462,10 +462,11 @@ def test_a_generator_is_replaced_first_and_single_fields_after_it():
 @pytest.mark.long
 @pytest.mark.parametrize("field", dataclasses.fields(Settings), ids=lambda field: field.name)
 def test_every_field_of_the_physics_can_be_given_on_the_command_line(field):
-    other = {"solver": "sequential_impulses", "friction_mixing": "root_sum_square", "warm_start": False, "dt": 0.02}
+    other = {"solver": "sequential_impulses", "friction_mixing": "root_sum_square", "dt": 0.02}
     if field.name == "solver_batch_size":
         pytest.skip("of the reference backend alone: refused below")
-    value = other.get(field.name, 3 if isinstance(field.default, int) else 0.75)
+    of_type = {bool: not field.default, int: 3, float: 0.75}
+    value = other[field.name] if field.name in other else of_type[type(field.default)]
     config = parse(["--recipe", "tiny", f"--env.physics.{field.name}", str(value)]).config
     assert config.env.physics == preset("standard").replace(**{field.name: value})
     assert config.hash != recipe("tiny").hash
@@ -475,6 +476,9 @@ def test_every_field_of_the_physics_can_be_given_on_the_command_line(field):
 def test_an_unknown_preset_and_bad_physics_are_refused(capsys):
     assert "unknown preset 'good'; known presets: draft, fine" in _refusal(capsys, "--env.preset", "good")
     assert "unknown generator 'good'; generators are default" in _refusal(capsys, "--curriculum.generator", "good")
+    assert "Settings.substeps is 0" in _refusal(capsys, "--recipe", "tiny", "--env.physics.substeps", "0")
+    line = _refusal(capsys, "--env.preset", "paper", "--env.physics.solver_batch_size", "16")
+    assert "environments, solves one contact after another: use 1" in line
 
 
 @pytest.mark.parametrize(
@@ -490,9 +494,6 @@ def test_a_family_of_mechanisms_that_a_size_has_no_room_for(capsys, options, siz
     assert f"levels of size '{size}' have room for none; add one of " in said and families in said
     # Where they fit, whatever comes first on the command line.
     parse(["--recipe", "tiny", "--curriculum.generator", "runner", "--env.size", "l"])
-    assert "Settings.substeps is 0" in _refusal(capsys, "--recipe", "tiny", "--env.physics.substeps", "0")
-    line = _refusal(capsys, "--env.preset", "paper", "--env.physics.solver_batch_size", "16")
-    assert "environments, solves one contact after another: use 1" in line
 
 
 def test_an_action_space_that_training_has_no_policy_for(capsys, monkeypatch):
