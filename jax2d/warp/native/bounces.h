@@ -16,8 +16,7 @@ struct Bounces {
     for (Bodies::Each each = Bodies::Each::of(which); each.next();) {
       int i = each.shape;
       Vec2 v = midway(bodies, i, bodies.velocity(i), gravity, h);
-      real inertia = Math::inverse_or_zero(bodies.inverse_inertia(i));
-      max_energy[islands.first[i]] += real(0.5) * (bodies.mass(i) * v.dot(v) + inertia * bodies.omega(i) * bodies.omega(i));
+      max_energy[islands.first[i]] += bodies.kinetic_energy(i, v, bodies.omega(i));
     }
   }
 
@@ -41,13 +40,14 @@ struct Bounces {
   KFN void pass_impacts_on(Bodies& bodies, Velocities& at_detection, Contacts& contacts, const Islands& islands,
                            const unsigned int* bouncing) {
     unsigned int passed[SHAPE_WORDS], island[SHAPE_WORDS];
-    if (!contacts.find_passed_on(bodies, bouncing, passed)) return;
+    ImpactPropagation impacts = {contacts};
+    if (!impacts.find_passed_on(bodies, bouncing, passed)) return;
     islands.complete(bodies, passed);
     at_detection.swap(bodies, passed);
     for (Bodies::Each each = Bodies::Each::of(passed); each.next();) {
       if (islands.first[each.shape] != each.shape) continue;
       islands.list(bodies, each.shape, island);
-      contacts.propagate_impacts(bodies, island);
+      impacts.propagate(bodies, island);
     }
     at_detection.swap(bodies, passed);
   }
@@ -107,7 +107,7 @@ struct Bounces {
       real inertia = Math::inverse_or_zero(bodies.inverse_inertia(i));
       Vec2 was = unbounced.velocity[i], v = midway(bodies, i, was, gravity, h), dv = bodies.velocity(i) - was;
       real w = unbounced.omega[i], dw = bodies.omega(i) - w;
-      change.room -= real(0.5) * (mass * v.dot(v) + inertia * w * w) - mass * gravity.dot(bodies.delta(i));
+      change.room -= bodies.kinetic_energy(i, v, w) - mass * gravity.dot(bodies.delta(i));
       change.linear += mass * v.dot(dv) + inertia * w * dw;
       change.quadratic += bodies.kinetic_energy(i, dv, dw);
     }

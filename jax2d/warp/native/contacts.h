@@ -1,27 +1,7 @@
 // The contacts of one world in one step: found, matched with the impulses of the step before, solved.
 //
-// Soft contacts follow the soft-step solver of Box2D v3 (Solver2D study); see docs/engine.md for the
-// equations. Hard contacts (preset paper) follow the appendix of the Kinetix paper.
-
-struct Contact {
-  unsigned int a : SHAPE_BITS, b : SHAPE_BITS;  // with what follows one word: a GPU waits for each that it loads
-  bool against_fixed : 1;      // one of the two cannot be pushed
-  bool against_kinematic : 1;  // and moves
-  bool is_impact : 1;          // they meet fast, and were apart before
-  bool is_second : 1;          // of two points of one pair
-  bool disc_on_face : 1;       // b is a disc on a face of a
-  int key;
-  Vec2 normal;
-  Vec2 arm_a, arm_b;         // from the centres of mass to both surfaces, at the start of the step
-  real follows_b;            // share by which the common point goes with b; the rest goes with a
-  real separation;           // at the start of the step
-  real mass_normal, mass_tangent;
-  real impulse_normal, impulse_tangent;
-  real friction, restitution;
-  real approach;             // relative normal speed before solving, negative when approaching; later before a last push
-  real bounce;               // normal speed to leave with, once it is known that it bounces; else 0
-  real max_impulse;         // largest normal impulse in this step
-};
+// Soft contacts follow the soft-step solver of Box2D v3 (Solver2D study); their equations are in docs/engine_solver.md.
+// Hard contacts (preset paper) follow the appendix of the Kinetix paper.
 
 struct Contacts {
   ARRAY(Contact, list, NUM_CONTACTS + 1);
@@ -45,7 +25,7 @@ struct Contacts {
                 bool ahead, bool is_start, bool all, const unsigned int* found) {
     int kept = NUM_CONTACTS;  // the first of those that stay: they wait at the end of the list
     for (int k = count - 1; k >= 0 && !all; --k)
-      if (!is_of(list[k], found)) move(k, --kept);
+      if (!list[k].is_of(found)) move(k, --kept);
     count = 0;
     overflow = 0;
     if (all) {
@@ -94,7 +74,7 @@ struct Contacts {
         // Where the surfaces are apart each is met at its own point: they will have moved together by then.
         Vec2 half_gap = m.normal * (real(0.5) * Math::max(m.points[p].separation, real(0)));
         c.arm_a = m.points[p].point - half_gap;
-        c.arm_b = m.points[p].point + half_gap - (SOFT_STEP && are_discs(a) ? m.normal * m.normal.dot(d) : d);
+        c.arm_b = m.points[p].point + half_gap - (SOFT_STEP && c.are_discs() ? m.normal * m.normal.dot(d) : d);
         c.separation = m.points[p].separation;
         c.follows_b = m.follows_b;
         c.disc_on_face = m.on_face;
@@ -102,8 +82,8 @@ struct Contacts {
         c.restitution = restitution;
         c.against_fixed = !(bodies.is_dynamic(a) && bodies.is_dynamic(b));
         if (HAS_KINEMATIC_BODIES) c.against_kinematic = bodies.is_kinematic(a) || bodies.is_kinematic(b);
-        c.mass_normal = pair_mass(bodies, c, m.normal);
-        c.mass_tangent = pair_mass(bodies, c, m.normal.right());
+        c.mass_normal = c.pair_mass(bodies, m.normal);
+        c.mass_tangent = c.pair_mass(bodies, m.normal.right());
         c.impulse_normal = real(0);
         c.impulse_tangent = real(0);
         c.max_impulse = real(0);
@@ -118,15 +98,15 @@ struct Contacts {
             break;
           }
         }
-        c.approach = normal_speed(bodies, c);
+        c.approach = c.normal_speed(bodies);
         // What an impact next to it has left of an impulse would throw apart what it no longer holds.
         if (SOFT_STEP && is_start && c.approach > MIN_SEPARATING_SPEED) reset_impulses(count - 1);
         // Discs have no corners to turn about: theirs are handed on (SHARES_IMPACTS) or left to the next sub-step.
         c.is_impact = SOFT_STEP && c.approach < -MIN_IMPACT_SPEED && c.impulse_normal == real(0) && (SHARES_IMPACTS || b < NUM_POLYGONS);
         c.is_second = SOFT_STEP && p > 0 && count > 1 && list[count - 2].key >> FEATURE_BITS == pair_key >> FEATURE_BITS;
         if (c.is_second) c.is_impact = list[count - 2].is_impact = c.is_impact | list[count - 2].is_impact;
-        if (SOFT_STEP) may_bounce |= hits(c, threshold);
-        if (ahead) is_unsteady |= hits_hard(geometry, c, reach, dt) || bounces_aside(bodies, c, d, threshold, dt);
+        if (SOFT_STEP) may_bounce |= c.hits(threshold);
+        if (ahead) is_unsteady |= c.hits_hard(geometry, reach, dt) || c.bounces_aside(bodies, d, threshold, dt);
       }
       if (is_unsteady) bodies.add_moving(unsteady, a, b);
     }
@@ -215,61 +195,9 @@ struct Contacts {
     return geometry.predicted_travel(a, b, motion.length()) * Math::max(turn_a, turn_b) * dt > reach;
   }
 
-  // What hits so fast that it would go through the thinner of the two in what is left of the step moves on in ways that
-  // no prediction has: around a corner, or over an end.
-  KFN static bool hits_hard(const Geometry& geometry, const Contact& c, real reach, real dt) {
-    real distance = Math::max(c.separation, real(0)) + reach + SAFE_CORE_SHARE * Math::min(geometry.core[c.a], geometry.core[c.b]);
-    return -c.approach * dt > distance;
-  }
-
-  // Whether two free discs bounce in what is left of the step and are beside each other's line when it ends: their
-  // impulse would act at one point, and turn them.
-  KFN static bool bounces_aside(const Bodies& bodies, const Contact& c, Vec2 d, real threshold, real dt) {
-    if (!HAS_RESTITUTION || !are_discs(c.a) || c.against_fixed || !hits(c, threshold)) return false;
-    real aside = Math::abs(c.normal.cross(bodies.velocity(c.b) - bodies.velocity(c.a)));
-    return -c.approach * dt > c.separation && aside * dt > ASIDE_SHARE * c.normal.dot(d);
-  }
-
   KFN static real mix_friction(real a, real b, const Column& params) {
     real base = params.get(PARAM_BASE_FRICTION);
     return base * (FRICTION_ROOT_SUM_SQUARE ? Fast::root(a * a + b * b) : Fast::root(a * b));
-  }
-
-  KFN static real pair_mass(const Bodies& bodies, const Contact& c, Vec2 direction) {
-    return Pair::of(bodies, c.a, c.b).mass(c.arm_a, c.arm_b, direction);
-  }
-
-  // How b has moved against a since the contact was found.
-  KFN static Vec2 moved(const Bodies& bodies, const Contact& c) { return bodies.delta(c.b) - bodies.delta(c.a); }
-
-  // Of a contact whose a is this shape: b is a later one. Nothing turns a disc about its own centre by pushing it along
-  // the line to another's: until they meet they are beside that line, and are there when they do.
-  KFN static bool are_discs(int a) { return HAS_CIRCLE_PAIRS && a >= NUM_POLYGONS; }
-
-  // From a's surface to b's where they meet.
-  KFN static Vec2 apart(const Bodies& bodies, const Contact& c, Vec2 moved) {
-    Vec2 gap = moved.plus(c.normal, Math::max(c.separation, real(0)));
-    if (!are_discs(c.a)) return gap;
-    Vec2 d = bodies.position[c.b] - bodies.position[c.a];
-    return (gap + d).minus(c.normal, c.normal.dot(d));
-  }
-
-  // Where both bodies can move, arms lead to one point, wherever they have gone since: an impulse at two points would
-  // change what both have of angular momentum. What is fixed takes any, so that the other's own surface is the point.
-  KFN static Arms arms_now(const Bodies& bodies, const Contact& c, Vec2 moved) {
-    if (c.against_fixed) return {c.arm_a, c.arm_b};
-    Vec2 gap = apart(bodies, c, moved);
-    return {c.arm_a.plus(gap, c.follows_b), c.arm_b.minus(gap, real(1) - c.follows_b)};
-  }
-
-  // Where an impact of two polygons acts: to where both have got and turned since. On what is fixed the point stays on the
-  // other's surface, and a disc has its point below its centre, however it turns.
-  KFN static Arms arms_of_impact(const Bodies& bodies, const Contact& c, Vec2 moved) {
-    if (c.b >= NUM_POLYGONS) return arms_now(bodies, c, moved);
-    Vec2 turn_a = swung(c.arm_a, turn_of_a(bodies, c)), turn_b = swung(c.arm_b, turn_of_b(bodies, c));
-    Vec2 gap = apart(bodies, c, moved) + turn_b - turn_a;
-    if (c.against_fixed) gap = gap.minus(c.normal, c.normal.dot(gap));
-    return {(c.arm_a + turn_a).plus(gap, c.follows_b), (c.arm_b + turn_b).minus(gap, real(1) - c.follows_b)};
   }
 
   KFN void reset_impulses(int k) {
@@ -287,22 +215,9 @@ struct Contacts {
   // All that contact k exerts, where the bodies are now.
   KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {
     const Contact& c = list[k];
-    Arms arms = arms_now(bodies, c, moved(bodies, c));
+    Arms arms = c.arms_now(bodies, c.moved(bodies));
     pair.apply_impulse(arms.a, arms.b, (c.normal * c.impulse_normal).plus(c.normal.right(), c.impulse_tangent));
     surfaces.warm_start(pair, k);
-  }
-
-  // Whether the same impulse is to be expected again: not that of an impact or bounce.
-  KFN static bool lasts(const Contact& c) { return c.bounce == real(0) && !c.is_impact; }
-
-  // On a kinematic body the place where the other's surface is, `ahead` seconds from now: in the middle of a sub-step the
-  // velocity there is the mean of how the place moves, so that what a turntable carries drifts neither out nor in.
-  KFN static Arms carried_arms(const Bodies& bodies, const Contact& c, Vec2 moved, real ahead) {
-    Vec2 gap = apart(bodies, c, moved);
-    bool is_a = bodies.is_kinematic(c.a);
-    Vec2 arm = is_a ? c.arm_a + gap : c.arm_b - gap;
-    arm = arm.plus(arm.left(), bodies.omega(is_a ? c.a : c.b) * ahead);
-    return is_a ? Arms{arm, c.arm_b} : Arms{c.arm_a, arm};
   }
 
   // J, what the moving surface of contact i has done to the bodies in this sub-step of h.
@@ -313,7 +228,7 @@ struct Contacts {
     if (!HAS_KINEMATIC_BODIES || !c.against_kinematic) return work;
     bool is_a = bodies.is_kinematic(c.a);
     int k = is_a ? c.a : c.b;
-    Arms arms = carried_arms(bodies, c, moved(bodies, c), real(-0.5) * h);
+    Arms arms = c.carried_arms(bodies, c.moved(bodies), real(-0.5) * h);
     Vec2 impulse_on_b = c.normal * c.impulse_normal + c.normal.right() * c.impulse_tangent;
     real done = impulse_on_b.dot(bodies.velocity(k) + (is_a ? arms.a : arms.b).left() * bodies.omega(k));
     return work + (is_a ? done : -done);
@@ -321,55 +236,11 @@ struct Contacts {
 
   KFN void warm_start(Bodies& bodies) {
     for (int i = 0; i < count; ++i) {
-      if (!lasts(list[i])) reset_impulses(i);
+      if (!list[i].lasts()) reset_impulses(i);
       Pair pair = Pair::of(bodies, list[i].a, list[i].b);
       apply_impulses(bodies, pair, i);
       pair.write_back(bodies);
     }
-  }
-
-  // m/s by which a face that turns closes on what slides along it, which would go straight on, negative; 0 where it
-  // opens, or closes by less than what rests may move. The normal turns with the body of the face, and a corner with its
-  // own; the point of a disc stays below its centre.
-  KFN static real closes_by(const Pair& pair, const Contact& c, Arms arms, const Soft& soft) {
-    bool is_a = c.follows_b > real(0.5);
-    real spin = Math::clamp(is_a ? pair.omega_a : pair.omega_b, -soft.max_spin, soft.max_spin);
-    Vec2 velocity = pair.velocity_b - pair.velocity_a, from_face = is_a ? arms.a : -arms.b;
-    if (c.disc_on_face)
-      from_face = from_face - arms.b;
-    else
-      velocity = is_a ? velocity.plus(arms.b.left(), pair.omega_b) : velocity.minus(arms.a.left(), pair.omega_a);
-    real rate = Fused::of(real(2) * spin, c.normal.left().dot(velocity), -(spin * spin * c.normal.dot(from_face)));
-    real speed = real(0.5) * soft.h * rate;
-    return speed < -RESTING_SPEED ? speed : real(0);
-  }
-
-  KFN static real current_separation(const Bodies& bodies, const Contact& c, Vec2 moved) {
-    // Surfaces move and turn with their bodies; the normal stays as it was at the start of the step.
-    Vec2 apart = moved;
-    if (bodies.moves(c.b)) apart = apart + swung(c.arm_b, turn_of_b(bodies, c));
-    if (bodies.moves(c.a)) apart = apart - swung(c.arm_a, turn_of_a(bodies, c));
-    return c.separation + apart.dot(c.normal);
-  }
-  // On a face the point of a disc stays below its centre, and those of two discs between their centres: turned with one
-  // that rolls it would rise, and the disc sink.
-  KFN static real turn_of_a(const Bodies& bodies, const Contact& c) { return are_discs(c.a) ? real(0) : bodies.turn(c.a); }
-  KFN static real turn_of_b(const Bodies& bodies, const Contact& c) {
-    return c.disc_on_face || are_discs(c.a) ? real(0) : bodies.turn(c.b);
-  }
-  // What turning an arm adds to it.
-  KFN static Vec2 swung(Vec2 arm, real turn) {
-    return (arm.left() * sinf_small(turn)).minus(arm, one_minus_cos_small(turn));
-  }
-  // Within a step bodies turn by less than a radian: series with errors below 3e-6 (sine) and 3e-5 (cosine).
-  KFN static real sinf_small(real t) {
-    real t2 = t * t;
-    real series = Fused::of(-t2, Fused::of(-t2, real(0.00019841270), real(0.0083333333)), real(0.16666667));
-    return t * Fused::of(-t2, series, real(1));
-  }
-  KFN static real one_minus_cos_small(real t) {
-    real t2 = t * t;
-    return t2 * Fused::of(-t2, Fused::of(-t2, real(0.0013888889), real(0.041666667)), real(0.5));
   }
 
   // One pass of the soft-step solver. With bias: pushes out of penetration softly; without (relax): takes
@@ -379,19 +250,20 @@ struct Contacts {
     real first_change = real(0);
     unsigned int ready[JOINT_WORDS];  // joints whose system does for impacts, where bodies stand and without motors
     JointSystem::clear(ready);
+    JointAnswers answers = {joints};
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
       if (active.leaves_out(c.a, c.b)) continue;
       int searched = LINE_SEARCH && use_bias ? search.island_of(bodies, c.a, c.b) : -1;
       Pair pair = Pair::of(bodies, c.a, c.b);
-      Vec2 moved = Contacts::moved(bodies, c);
-      real separation = current_separation(bodies, c, moved);
+      Vec2 moved = c.moved(bodies);
+      real separation = c.current_separation(bodies, moved);
       bool shares = active.shares(c.a, c.b);
       if (shares) c.is_impact = true;
-      Arms arms = c.is_impact && round == 0 ? arms_of_impact(bodies, c, moved) : arms_now(bodies, c, moved);
+      Arms arms = c.is_impact && round == 0 ? c.arms_of_impact(bodies, moved) : c.arms_now(bodies, moved);
       // With bias the sub-step is to come, in the relax pass it is past.
       if (HAS_KINEMATIC_BODIES && c.against_kinematic)
-        arms = carried_arms(bodies, c, moved, (use_bias ? real(0.5) : real(-0.5)) / soft.inverse_h);
+        arms = c.carried_arms(bodies, moved, (use_bias ? real(0.5) : real(-0.5)) / soft.inverse_h);
       // A disc that has not come yet is hit in the next step, by what then has left.
       if (HAS_RESTITUTION && round > 0 && c.b >= NUM_POLYGONS && separation > real(0) && c.restitution > real(0) && c.max_impulse == real(0)) continue;
       real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
@@ -406,13 +278,13 @@ struct Contacts {
         bias = Math::max(mass_scale * of.bias_rate * separation, -soft.push_out_speed);
       }
       if (use_bias && (c.b < NUM_POLYGONS || c.disc_on_face))
-        bias = Fused::of(mass_scale, closes_by(pair, c, arms, soft), bias);
+        bias = Fused::of(mass_scale, c.closes_by(pair, arms, soft), bias);
       real vn = c.normal.dot(pair.relative(arms.a, arms.b));
       bool bounces = HAS_RESTITUTION && round > 0 && c.bounce > real(0);
       if (c.is_impact && round == 0) {
         unsigned int jointed[JOINT_WORDS];
-        bool is_jointed = NUM_JOINTS > 0 && joints.find_articulations(c.a, c.b, jointed);
-        real change = solve_impact(bodies, joints, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, !use_bias, jointed, ready});
+        bool is_jointed = NUM_JOINTS > 0 && answers.find_articulations(c.a, c.b, jointed);
+        real change = solve_impact(bodies, answers, pair, c, {arms, bias, surfaces.speed_of(i), is_jointed, !use_bias, jointed, ready});
         if (change > (shares ? SETTLED_SPEED : SHARED_SPEED)) active.mark(bodies, c.a, c.b);
         if (!use_bias) surfaces.solve_rolling(pair, i, c.impulse_normal);
         if (searched >= 0) {
@@ -440,7 +312,7 @@ struct Contacts {
       }
       if (bounces) {
         bias = -c.bounce;
-        bool is_settled = update_secant_mass(c, pair.mass(arms.a, arms.b, c.normal), vn, round);
+        bool is_settled = c.update_secant_mass(pair.mass(arms.a, arms.b, c.normal), vn, round);
         if (!is_settled) bodies.add_dynamic(unsettled, c.a, c.b);
         mass = c.mass_normal;
       }
@@ -460,8 +332,8 @@ struct Contacts {
           search.add(searched, impulse, total, wrong + real(0.5) * changed, yields);
         }
       }
-      if (!use_bias && (!bounces || is_of(c, with_friction))) {
-        solve_friction(pair, c, arms, mass_tangent, surfaces.speed_of(i));
+      if (!use_bias && (!bounces || c.is_of(with_friction))) {
+        c.solve_friction(pair, arms, mass_tangent, surfaces.speed_of(i));
         surfaces.solve_rolling(pair, i, c.impulse_normal);
       }
       pair.write_back(bodies);
@@ -479,11 +351,6 @@ struct Contacts {
     }
   }
 
-  // What impulses along the normal and the tangent of a contact change of its speeds along them.
-  struct Response {
-    real nn, nt, tt;
-  };
-
   // Where an impact acts, the speeds that are wanted, and joints of the articulations of its bodies, which `have_moved` since
   // they were solved. `ready`: those whose system does for impacts.
   struct Impact {
@@ -497,7 +364,7 @@ struct Contacts {
   // Solves an impact. What is jointed to its bodies answers at once, to an impulse of 1 along the normal and along the tangent;
   // what it answers to that of the impact is a sum of both. What opens by itself has none, though friction could hold it
   // (Painleve's paradox). Returns by how much (m/s) it changed a speed.
-  KFN real solve_impact(Bodies& bodies, Joints& joints, Pair& pair, Contact& c, const Impact& impact) {
+  KFN real solve_impact(Bodies& bodies, JointAnswers& answers, Pair& pair, Contact& c, const Impact& impact) {
     Vec2 tangent = c.normal.right(), v = pair.relative(impact.arms.a, impact.arms.b);
     Vec2 speeds = {c.normal.dot(v) + impact.bias, tangent.dot(v) - impact.along};
     if (c.impulse_normal == real(0) && c.impulse_tangent == real(0) && speeds.x >= real(0)) return real(0);
@@ -506,62 +373,19 @@ struct Contacts {
     by_tangent.apply_impulse(impact.arms.a, impact.arms.b, tangent);
     if (impact.is_jointed) {
       bool is_ready = JointSystem::has_all(impact.ready, impact.jointed);
-      joints.add_answers(bodies, impact.jointed, by_normal, by_tangent,
-                         !is_ready && (impact.have_moved || joints.hold_by_motors(impact.jointed)));
+      answers.add(bodies, impact.jointed, by_normal, by_tangent,
+                  !is_ready && (impact.have_moved || answers.hold_by_motors(impact.jointed)));
       JointSystem::add_all(impact.ready, impact.jointed);
     }
     Vec2 along_normal = by_normal.relative(impact.arms.a, impact.arms.b), along_tangent = by_tangent.relative(impact.arms.a, impact.arms.b);
-    Response moves = {c.normal.dot(along_normal), tangent.dot(along_normal), tangent.dot(along_tangent)};
-    Vec2 total = stick_or_slide(c, speeds, moves), added = {total.x - c.impulse_normal, total.y - c.impulse_tangent};
+    Contact::Response moves = {c.normal.dot(along_normal), tangent.dot(along_normal), tangent.dot(along_tangent)};
+    Vec2 total = c.stick_or_slide(speeds, moves), added = {total.x - c.impulse_normal, total.y - c.impulse_tangent};
     c.impulse_normal = total.x;
     c.impulse_tangent = total.y;
-    if (impact.is_jointed) joints.exert_answers(bodies, impact.jointed, added, active);
+    if (impact.is_jointed) answers.exert(bodies, impact.jointed, added, active);
     pair.add(by_normal, added.x);
     pair.add(by_tangent, added.y);
     return Math::max(Math::abs(added.x) * moves.nn, Math::abs(added.y) * moves.tt);
-  }
-
-  // Normal impulse and friction of an impact together, as each changes the other's speed: it sticks, or slides at Coulomb's
-  // limit.
-  KFN static Vec2 stick_or_slide(const Contact& c, Vec2 speeds, const Response& moves) {
-    Vec2 stick = Symmetric::solve(moves.nn, moves.nt, moves.tt, speeds);
-    real n = c.impulse_normal - stick.x, t = c.impulse_tangent - stick.y;
-    if (n >= real(0) && Math::abs(t) <= c.friction * n) return {n, t};
-    // It slides, and friction is mu times what the normal impulse then is: on the way from none to what would stop it.
-    real closing = moves.nn * c.impulse_normal + moves.nt * c.impulse_tangent - speeds.x;  // without its impulses
-    real side = t > real(0) ? c.friction : -c.friction, k = moves.nn + side * moves.nt;
-    n = closing > real(0) && k > real(0) ? Fast::divide(closing, k) : real(0);
-    return {n, side * n};
-  }
-
-  // Towards the `wanted` speed of b against a along the tangent.
-  KFN static void solve_friction(Pair& pair, Contact& c, Arms arms, real mass_tangent, real wanted) {
-    if (!HAS_FRICTION || c.friction == real(0)) return;
-    Vec2 tangent = c.normal.right();
-    real vt = tangent.dot(pair.relative(arms.a, arms.b)) - wanted;
-    real max_friction = c.friction * c.impulse_normal;
-    real total = Math::clamp(Fused::of(-mass_tangent, vt, c.impulse_tangent), -max_friction, max_friction);
-    real impulse = total - c.impulse_tangent;
-    c.impulse_tangent = total;
-    pair.apply_impulse(arms.a, arms.b, tangent * impulse);
-  }
-
-  // What the last pass gave a bounce, joints and other contacts have shared out since. The next pass pushes as if the
-  // contact moved the mass that it was seen to move (secant method); where others push against it, its pair's alone.
-  // True if it has its speed, or no push can give it any more.
-  KFN static bool update_secant_mass(Contact& c, real mass_of_pair, real vn, int round) {
-    real gained = Fast::divide(vn - c.approach, c.bounce - c.approach);
-    c.approach = vn;
-    if (round == 1) return false;
-    if (Math::abs(vn - c.bounce) <= BOUNCE_TOLERANCE * c.bounce || Math::abs(gained) < MIN_GAINED_SHARE) return true;
-    bool is_seen = gained > real(0) && gained < MAX_SECANT_SHARE;
-    c.mass_normal = is_seen ? Fast::divide(c.mass_normal, Math::max(gained, MIN_SECANT_SHARE)) : mass_of_pair;
-    return false;
-  }
-
-  // Slower impacts do not bounce.
-  KFN static bool hits(const Contact& c, real threshold) {
-    return c.restitution > real(0) && c.approach <= -threshold;
   }
 
   // Restitution, where contacts of `ends` end: what hit gets the speed at which it must leave. Marks its bodies; False if
@@ -573,103 +397,12 @@ struct Contacts {
     bool any = false;
     for (int i = 0; i < count; ++i) {
       Contact& c = list[i];
-      if (!hits(c, threshold) || c.max_impulse == real(0) || !is_of(c, ends)) continue;
-      c.bounce = c.restitution * impact_speed(bodies, c, gravity, h);
+      if (!c.hits(threshold) || c.max_impulse == real(0) || !c.is_of(ends)) continue;
+      c.bounce = c.restitution * c.impact_speed(bodies, gravity, h);
       bodies.add_dynamic(bouncing, c.a, c.b);
       any = true;
     }
     return any;
-  }
-
-  // Bodies that meet in one point pass an impact on; what else is solved together bounces as if it were one.
-  KFN static bool passes_on(const Contact& c) { return c.b >= NUM_POLYGONS && c.max_impulse > real(0); }
-
-  // Of bodies of `bouncing` those of what was hit and touches something that is hit next.
-  KFN bool find_passed_on(const Bodies& bodies, const unsigned int* bouncing, unsigned int* passed) const {
-    unsigned int hit[SHAPE_WORDS];
-    Bodies::clear(hit);
-    Bodies::clear(passed);
-    for (int i = 0; i < count; ++i) {
-      const Contact& c = list[i];
-      if (passes_on(c) && c.bounce > real(0) && is_of(c, bouncing)) bodies.add_dynamic(hit, c.a, c.b);
-    }
-    bool any = false;
-    for (int i = 0; i < count; ++i) {
-      const Contact& c = list[i];
-      if (!passes_on(c) || c.against_fixed || c.bounce > real(0) || c.restitution == real(0)) continue;
-      if (!Bodies::has(hit, c.a) && !Bodies::has(hit, c.b)) continue;
-      bodies.add_dynamic(passed, c.a, c.b);
-      any = true;
-    }
-    return any;
-  }
-
-  // In one island, impact after impact, the fastest first, from the velocities with which bodies came, which it changes:
-  // what that leaves of a contact's speed is what its bounce aims at. Impacts of one speed are one: a ball that meets two
-  // alike goes straight on, whichever comes first in the list.
-  KFN void propagate_impacts(Bodies& bodies, const unsigned int* island) {
-    unsigned int once[SHAPE_WORDS], again[SHAPE_WORDS];
-    Bodies::clear(once);
-    Bodies::clear(again);
-    real factor = real(1);  // the moment of the impact falls inside the step: its speed is that of the bounce
-    for (int impact = 0; impact < MAX_IMPACTS; ++impact) {
-      int fastest = -1;
-      real speed = SETTLED_SPEED;
-      for (int i = 0; i < count; ++i) {
-        Contact& c = list[i];
-        if (!passes_on(c) || !is_of(c, island)) continue;
-        c.approach = normal_speed(bodies, c);
-        if (-c.approach <= speed) continue;
-        speed = -c.approach;
-        fastest = i;
-      }
-      if (fastest < 0) break;
-      const Contact& first = list[fastest];
-      if (impact == 0 && first.bounce > real(0)) factor = Fast::divide(first.bounce, first.restitution * speed);
-      unsigned int hit[SHAPE_WORDS];
-      collide_at_once(bodies, island, (real(1) - SIMULTANEOUS_SHARE) * speed, hit);
-      for (int word = 0; word < SHAPE_WORDS; ++word) {
-        again[word] |= once[word] & hit[word];
-        once[word] |= hit[word];
-      }
-    }
-    for (int i = 0; i < count; ++i) {
-      Contact& c = list[i];
-      bool took_part = (bodies.is_dynamic(c.a) && Bodies::has(again, c.a)) || (bodies.is_dynamic(c.b) && Bodies::has(again, c.b));
-      if (!passes_on(c) || !took_part) continue;
-      real speed = normal_speed(bodies, c);
-      c.bounce = speed > SETTLED_SPEED ? factor * speed : real(0);
-      c.is_impact = true;  // its impulse does not last
-    }
-  }
-
-  // What approaches at `speed` or faster in an island leaves with its restitution, all at once: pass after pass until no
-  // contact changes by much. Marks its bodies.
-  KFN void collide_at_once(Bodies& bodies, const unsigned int* island, real speed, unsigned int* hit) {
-    real given[NUM_CONTACTS + 1];
-    Bodies::clear(hit);
-    bool is_settled = false;
-    for (int pass = 0; pass < MAX_IMPACTS && !is_settled; ++pass) {
-      is_settled = true;
-      for (int i = 0; i < count; ++i) {
-        const Contact& c = list[i];
-        if (!passes_on(c) || !is_of(c, island) || -c.approach < speed) continue;
-        if (pass == 0) given[i] = real(0);
-        bodies.add_dynamic(hit, c.a, c.b);
-        Pair pair = Pair::of(bodies, c.a, c.b);
-        real wrong = c.normal.dot(pair.relative(c.arm_a, c.arm_b)) + c.restitution * c.approach;
-        real total = Math::max(given[i] - wrong * pair.mass(c.arm_a, c.arm_b, c.normal), real(0));
-        real impulse = total - given[i];
-        given[i] = total;
-        is_settled &= impulse == real(0) || Math::abs(wrong) < SIMULTANEOUS_SHARE * speed;
-        pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
-        pair.write_back(bodies);
-      }
-    }
-  }
-
-  KFN static bool is_of(const Contact& c, const unsigned int* bodies) {
-    return Bodies::has(bodies, c.a) || Bodies::has(bodies, c.b);
   }
 
   // Of bodies of `hit` those of what bounces.
@@ -677,28 +410,11 @@ struct Contacts {
     Bodies::clear(bouncing);
     bool any = false;
     for (int i = 0; i < count; ++i) {
-      if (list[i].bounce <= real(0) || !is_of(list[i], hit)) continue;
+      if (list[i].bounce <= real(0) || !list[i].is_of(hit)) continue;
       bodies.add_dynamic(bouncing, list[i].a, list[i].b);
       any = true;
     }
     return any;
-  }
-
-  KFN static real normal_speed(const Bodies& bodies, const Contact& c) {
-    return c.normal.dot(Pair::of(bodies, c.a, c.b).relative(c.arm_a, c.arm_b));
-  }
-
-  // Speed at the moment of impact, which falls somewhere inside the step. Under a closing acceleration a,
-  // semi-implicit Euler keeps u^2/2 + a h u/2 + a s (u approach speed, s separation) exactly, so a bounce that
-  // leaves from where the body now is with the same value neither gains nor loses energy, wherever in the step it falls.
-  KFN static real impact_speed(const Bodies& bodies, const Contact& c, Vec2 gravity, real h) {
-    Vec2 pull = gravity * ((bodies.inverse_mass(c.a) > real(0) ? real(1) : real(0)) -
-                           (bodies.inverse_mass(c.b) > real(0) ? real(1) : real(0)));
-    real a = pull.dot(c.normal), u = -c.approach;
-    real half = real(0.5) * a * h;
-    real fallen = c.separation - current_separation(bodies, c, moved(bodies, c));
-    real twice_energy = u * u + real(2) * half * u + real(2) * a * fallen;
-    return Fast::root(Math::max(half * half + twice_energy, real(0))) + half;
   }
 
   // One iteration of sequential impulses (paper, appendix Collision Resolution): restitution target and
@@ -715,7 +431,7 @@ struct Contacts {
       c.impulse_normal = total;
       c.max_impulse = Math::max(c.max_impulse, total);
       pair.apply_impulse(c.arm_a, c.arm_b, c.normal * impulse);
-      solve_friction(pair, c, {c.arm_a, c.arm_b}, c.mass_tangent, real(0));
+      c.solve_friction(pair, {c.arm_a, c.arm_b}, c.mass_tangent, real(0));
       pair.write_back(bodies);
     }
   }
@@ -723,7 +439,7 @@ struct Contacts {
   // Impulses of contacts of `which` as they were last stored.
   KFN void load_impulses(const Column& impulses, const unsigned int* which) {
     for (int k = 0; k < count; ++k) {
-      if (!is_of(list[k], which)) continue;
+      if (!list[k].is_of(which)) continue;
       list[k].impulse_normal = impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * k);
       list[k].impulse_tangent = impulses.get(IMPULSE_CONTACT_IMPULSE + 2 * k + 1);
       surfaces.load_impulse(k, impulses, k);
@@ -735,7 +451,7 @@ struct Contacts {
     for (int s = 0; s < CAPACITY_CONTACTS; ++s) {
       if (s < count) {
         keys.set(s, list[s].key);
-        bool lasts = Contacts::lasts(list[s]);
+        bool lasts = list[s].lasts();
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s, lasts ? list[s].impulse_normal : real(0));
         impulses.set(IMPULSE_CONTACT_IMPULSE + 2 * s + 1, lasts ? list[s].impulse_tangent : real(0));
         surfaces.store(s, lasts, impulses);

@@ -63,18 +63,18 @@ struct Report {
       const Contact& c = contacts.list[i];
       int s = slot[i];
       if (s < 0) continue;
-      Vec2 moved = Contacts::moved(bodies, c);
-      Vec2 on_a = turned(c.arm_a, Contacts::turn_of_a(bodies, c));
-      Vec2 on_b = turned(c.arm_b, Contacts::turn_of_b(bodies, c));
+      Vec2 moved = c.moved(bodies);
+      Vec2 on_a = turned(c.arm_a, c.turn_of_a(bodies));
+      Vec2 on_b = turned(c.arm_b, c.turn_of_b(bodies));
       Vec2 halfway = on_a + (bodies.position[c.b] - bodies.position[c.a] + moved + on_b - on_a) * real(0.5);
       values.set2(OUT_CONTACT_POINT + 2 * s, bodies.position[c.a] + bodies.delta(c.a) + halfway);
       values.set2(OUT_CONTACT_NORMAL + 2 * s, c.normal);
-      values.set(OUT_CONTACT_SEPARATION + s, Contacts::current_separation(bodies, c, moved));
+      values.set(OUT_CONTACT_SEPARATION + s, c.current_separation(bodies, moved));
     }
   }
 
   KFN static Vec2 turned(Vec2 arm, real turn) {
-    return arm + arm.left() * Contacts::sinf_small(turn) - arm * Contacts::one_minus_cos_small(turn);
+    return arm + arm.left() * Contact::sinf_small(turn) - arm * Contact::one_minus_cos_small(turn);
   }
 
   // What is not used is empty.

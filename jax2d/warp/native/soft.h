@@ -1,4 +1,4 @@
-// Soft constraints: springs that are given by frequency and damping and stay stable at any step (docs/engine.md).
+// Soft constraints: springs that are given by frequency and damping and stay stable at any step (docs/engine_solver.md).
 
 struct Softness {
   real bias_rate, mass_scale, impulse_scale;
