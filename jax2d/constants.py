@@ -190,7 +190,16 @@ class Constants:
         "4: of an arm of six motors that lashes about 3 % have not their speed",
     )
     # Springs
-    spring_passes: int = _constant(2, "a pass with bias", "rods in a row agree", "1: rows of rods gain energy")
+    spring_passes: int = _constant(
+        2, "a pass with bias", "stiff springs in a row agree", "1: ten in a row with a heavy end gain energy"
+    )
+    rod_strength: float = _constant(
+        1.0,
+        "1",
+        "the largest impulse of a rope or rod, of its length times the mass across it over the sub-step: with more it "
+        "would swing faster than a sub-step can follow",
+        "2: what is too heavy falls on, as light discs lash about; 0.5: rods give way to half the load",
+    )
     # Bounces
     max_impacts: int = _constant(
         32,

@@ -71,7 +71,7 @@ class Settings:
     contact_hertz: float = 45.0  # stiffness, at most contact_hertz_share / h; at 30 a column of 15 boxes buckles
     contact_hertz_share: float = 0.1875
     contact_damping_ratio: float = 10.0
-    spring_hertz: float = 88.0  # of the stiffest springs, of ropes and rods, at most spring_hertz_share / h
+    spring_hertz: float = 88.0  # of the stiffest springs, at most spring_hertz_share / h
     spring_hertz_share: float = 0.367
     spring_damping_ratio: float = 10.0
     joint_correction: float = 0.2  # share of the error of a joint that is undone in a sub-step

@@ -68,7 +68,10 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         polygons, circles = min(1, capacity.polygons), min(1, capacity.circles)
     has_pairs = effects.polygon_pairs or effects.polygon_circle_pairs or effects.circle_pairs
     has_joints = effects.revolute_joints or effects.fixed_joints or effects.prismatic_joints
-    joints = effects.joint_slots if has_joints else 0
+    joint_slots = effects.joint_slots if has_joints else 0
+    springs = capacity.springs if effects.springs else 0
+    joints = joint_slots + springs  # ropes and rods are joints
+    has_axes = effects.motors or effects.joint_limits or springs > 0
     line_search = variant.line_search and has_pairs and joints > 0
     sweep = has_pairs and polygons + circles > variant.options.sweep_above_shapes
     values = {
@@ -80,10 +83,13 @@ def constants(variant: KernelVariant) -> dict[str, int]:
         "NUM_CIRCLES": circles,
         "NUM_SHAPES": polygons + circles,
         "NUM_JOINTS": joints,
+        "JOINT_SLOTS": joint_slots,
         "JOINT_WORDS": max(1, -(-joints // 32)),
-        "HAS_AXES": int(bool(effects.motors or effects.joint_limits)),  # joints drive or bound what is along their axes
-        "HELD_ROWS": 3 if effects.fixed_joints or effects.motors or effects.joint_limits else 2,  # of a joint
-        "NUM_SPRINGS": capacity.springs if effects.springs else 0,
+        "HAS_AXES": int(bool(has_axes)),  # joints drive or bound what is along their axes
+        "HELD_ROWS": 3 if effects.fixed_joints or has_axes else 2,  # of a joint
+        "NUM_SPRINGS": springs,
+        "HAS_RODS": int(springs > 0),
+        "HAS_AXIS_JOINTS": int(bool(effects.prismatic_joints) or springs > 0),  # joints along a line
         "NUM_THRUSTERS": effects.thruster_slots if effects.thrusters else 0,
         "SKIPPED_POLYGONS": capacity.polygons - polygons,
         "ALL_SHAPES": int(polygons + circles == capacity.shapes),

@@ -158,10 +158,9 @@ def limit_gains(
         return jnp.where(factor > 0, impulses, 0) * factor
 
     springs = joints.springs
-    impulses = jax.tree.map(lambda x: scaled(springs.pair, x), springs.impulses)
     return (
         bodies._replace(velocities=Velocities(velocity, omega)),
-        joints._replace(springs=springs._replace(impulses=impulses)),
+        joints._replace(springs=springs._replace(impulse=scaled(springs.pair, springs.impulse))),
         contacts._replace(
             impulse_normal=scaled(contacts.pair, contacts.impulse_normal),
             impulse_tangent=scaled(contacts.pair, contacts.impulse_tangent),

@@ -1,4 +1,4 @@
-"""Joints of one world: what they hold, their motors and limits; springs with them.
+"""Joints of one world: what they hold, their motors and limits; ropes and rods, and springs with them.
 
 Body b is held to body a. Angles are angle_b - angle_a - rest angle. Every constraint is a row of a Jacobian, three a
 joint, and all rows are one system (joint_system.py):
@@ -7,6 +7,7 @@ joint, and all rows are one system (joint_system.py):
     revolute     x and y of the common point    the angle, where a motor or a limit holds it
     fixed        x and y of the common point    the angle
     prismatic    across the axis, the angle     along the axis, where a motor or a limit holds it
+    rope, rod    none                           the length, where a bound holds it
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from jax2d.xla.bodies import (
     Pair,
     PairVelocities,
     Velocities,
+    is_slowed,
     pair_up,
     pair_velocities,
     pick,
@@ -36,6 +38,7 @@ from jax2d.xla.bodies import (
 from jax2d.xla.branching import choose, in_any_world
 from jax2d.xla.drives import Servo, servo_of, speed_towards
 from jax2d.xla.joint_system import JointSystem
+from jax2d.xla.rods import ROD, Lengths, across_line, bend_of_line, hold_lengths, joints_with_rods, line_of
 from jax2d.xla.rows import (
     Constraints,
     Jacobian,
@@ -45,7 +48,7 @@ from jax2d.xla.rows import (
     speed_along,
     work_of_kinematic,
 )
-from jax2d.xla.springs import SpringImpulses, Springs
+from jax2d.xla.springs import Springs
 
 
 class JointImpulses(NamedTuple):
@@ -61,15 +64,17 @@ class WarmStart(NamedTuple):
     """Impulses of joints and springs that a step starts with, those of the step before."""
 
     joints: JointImpulses
-    springs: SpringImpulses
+    springs: jax.Array  # [S] N s
 
 
 class Joints(NamedTuple):
-    """`J` joints in one step, and the springs; what holds nothing (`is_held` False) is masked out."""
+    """`J` joints in one step, those of the scene and then its ropes and rods (rods.py), and the springs; what holds
+    nothing (`is_held` False) is masked out."""
 
     is_held: jax.Array  # [J] bool, active and with a body that can move
     is_fixed: jax.Array  # [J] bool
     is_prismatic: jax.Array  # [J] bool
+    is_rod: jax.Array  # [J] bool
     is_driven: jax.Array  # [J] bool, a motor with a control, a brake or a servo
     is_servo: jax.Array  # [J] bool
     is_limited: jax.Array  # [J] bool
@@ -93,49 +98,58 @@ class Joints(NamedTuple):
     impulses: JointImpulses
     springs: Springs
 
+    @property
+    def has_rods(self) -> bool:
+        """True where there is room for springs; known when a step is compiled."""
+        return self.springs.rest_length.shape[0] > 0
+
     def warm_start_impulses(self) -> WarmStart:
-        return WarmStart(self.impulses, self.springs.impulses)
+        return WarmStart(self.impulses, self.springs.impulse)
 
 
 def load(state: State, params: SolverNumbers) -> WarmStart:
-    impulse = jnp.where(params.warm_start, state.joint_impulse, 0)
-    joints = JointImpulses(impulse[:, :2], impulse[:, 2], impulse[:, 3], impulse[:, 4])
-    return WarmStart(joints, springs_of.load(state, params))
+    impulse, of_springs = (jnp.where(params.warm_start, x, 0) for x in (state.joint_impulse, state.spring_impulse))
+    bounds = jnp.pad(of_springs[:, 1:], ((0, 0), (3, 0)))
+    both = jnp.concatenate([impulse, bounds]) if len(bounds) else impulse
+    return WarmStart(JointImpulses(both[:, :2], both[:, 2], both[:, 3], both[:, 4]), of_springs[:, 0])
 
 
 def prepare(bodies: Bodies, scene: Scene, before: WarmStart, controls: Controls, params: SolverNumbers) -> Joints:
-    a, b = scene.joints.a, scene.joints.b
-    is_held = scene.joints.active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
+    of = joints_with_rods(scene)
+    a, b = of.a, of.b
+    is_held = of.active & (bodies.is_dynamic[a] | bodies.is_dynamic[b])
     pair = pair_up(bodies, a, b, is_held)
-    is_fixed, is_prismatic = (scene.joints.is_kind(kind) for kind in (JointKind.FIXED, JointKind.PRISMATIC))
-    is_velocity, is_servo = (scene.joints.is_drive(drive) for drive in (JointDrive.VELOCITY, JointDrive.SERVO))
-    is_driven = scene.joints.motor_on & ~is_fixed & ((controls.motor != 0) | ~is_velocity)
+    is_fixed, is_prismatic = (of.is_kind(kind) for kind in (JointKind.FIXED, JointKind.PRISMATIC))
+    is_velocity, is_servo = (of.is_drive(drive) for drive in (JointDrive.VELOCITY, JointDrive.SERVO))
+    control = jnp.pad(controls.motor, (0, a.shape[0] - controls.motor.shape[0]))
+    is_driven = of.motor_on & ~is_fixed & ((control != 0) | ~is_velocity)
     angular_impulse = jnp.where(is_driven | is_fixed, before.joints.angular_impulse, 0)
     base_speed = jnp.where(is_prismatic, params.base_slider_speed, params.base_motor_speed)
-    speed, zero = scene.joints.motor_speed * base_speed, jnp.zeros_like(controls.motor)
+    speed, zero = of.motor_speed * base_speed, jnp.zeros_like(control)
     joints = Joints(
         is_held=is_held,
         is_fixed=is_fixed,
         is_prismatic=is_prismatic,
+        is_rod=of.is_kind(ROD),
         is_driven=is_driven,
         is_servo=is_servo,
-        is_limited=scene.joints.has_limits,
+        is_limited=of.has_limits,
         pair=pair,
         together=articulations(bodies, pair),
-        axis_angle=scene.joints.axis_angle,
-        local_a=scene.joints.anchor_a,
-        local_b=scene.joints.anchor_b,
+        axis_angle=of.axis_angle,
+        local_a=of.anchor_a,
+        local_b=of.anchor_b,
         angle_a=bodies.angle[a],
         angle_b=bodies.angle[b],
         centre_gap=bodies.position[b] - bodies.position[a],
-        start_angle=angles.wanted(counted_angle(bodies, scene), scene.joints),
+        start_angle=angles.wanted(counted_angle(bodies, scene), of),
         axial_mass=zero,
-        control=controls.motor,
-        motor_target=controls.motor * scene.joints.motor_speed * base_speed,
+        control=control,
+        motor_target=control * of.motor_speed * base_speed,
         max_motor_impulse=zero,
-        servo=servo_of(controls.motor, speed, scene.joints.lower_limit, scene.joints.upper_limit),
-        lower=scene.joints.lower_limit,
-        upper=scene.joints.upper_limit,
+        servo=servo_of(control, speed, of.lower_limit, of.upper_limit),
+        lower=of.lower_limit,
+        upper=of.upper_limit,
         axes=AxialRows.of(jnp.zeros(a.shape, jnp.int32), zero),
         impulses=before.joints._replace(angular_impulse=angular_impulse),
         springs=springs_of.prepare(bodies, scene, before.springs),
@@ -143,7 +157,7 @@ def prepare(bodies: Bodies, scene: Scene, before: WarmStart, controls: Controls,
     rows = constraints(bodies, joints)
     axial_mass = vec2.inverse_or_zero(inverse_mass(pair, rows.axial, rows.axial))
     # The power is the acceleration that the motor can give to the pair of bodies alone.
-    power = scene.joints.motor_power * jnp.where(is_prismatic, params.base_slider_power, params.base_motor_power)
+    power = of.motor_power * jnp.where(is_prismatic, params.base_slider_power, params.base_motor_power)
     joints = joints._replace(axial_mass=axial_mass, max_motor_impulse=params.h * power * axial_mass)
     holds = held_before(joints, speed_along(rows.axial, pair_velocities(pair, bodies.velocities)))
     return joints._replace(axes=joints.axes._replace(holds=holds))
@@ -157,7 +171,9 @@ def held_before(joints: Joints, speed: jax.Array) -> jax.Array:
     is_motor = joints.is_driven & (needed < joints.max_motor_impulse)
     holds = jnp.where(is_motor, axial_rows.MOTOR, axial_rows.NOTHING)
     holds = jnp.where(joints.is_limited & (impulses.upper > 0), axial_rows.UPPER, holds)
-    return jnp.where(joints.is_limited & (impulses.lower > 0), axial_rows.LOWER, holds)
+    holds = jnp.where(joints.is_limited & (impulses.lower > 0), axial_rows.LOWER, holds)
+    is_tight = impulses.lower != impulses.upper
+    return jnp.where(joints.is_rod, jnp.where(is_tight, axial_rows.MOTOR, axial_rows.NOTHING), holds)
 
 
 def replace_found(old: Joints, new: Joints, which: jax.Array) -> Joints:
@@ -180,14 +196,29 @@ def articulations(bodies: Bodies, pair: Pair) -> jax.Array:
 
 def counted_angle(bodies: Bodies, scene: Scene) -> jax.Array:
     """angle_b - angle_a - rest angle, [J] rad, turns counted as far as the bodies' angles count them."""
-    return bodies.angle[scene.joints.b] - bodies.angle[scene.joints.a] - scene.joints.rest_angle
+    of = joints_with_rods(scene)
+    return bodies.angle[of.b] - bodies.angle[of.a] - of.rest_angle
 
 
 def store(joints: Joints, state: State) -> jax.Array:
     """Impulses as in `State.joint_impulse`; joints that hold nothing keep what they had."""
-    i = joints.impulses
+    i, before = joints.impulses, state.joint_impulse
     solved = jnp.concatenate([i.point, i.angular_impulse[:, None], i.lower[:, None], i.upper[:, None]], axis=1)
-    return jnp.where(joints.is_held[:, None], solved, state.joint_impulse)
+    return jnp.where(joints.is_held[: len(before), None], solved[: len(before)], before)
+
+
+def store_springs(bodies: Bodies, joints: Joints, state: State) -> jax.Array:
+    """Impulses as in `State.spring_impulse`, of springs and of the bounds of their lengths; the same."""
+    springs, before, num_joints = joints.springs, state.spring_impulse, state.joint_impulse.shape[0]
+    force = jnp.where(is_slowed(bodies, springs.pair), 0, springs.impulse)
+    bounds = jnp.stack([joints.impulses.lower, joints.impulses.upper], -1)[num_joints:]
+    return jnp.concatenate(
+        [
+            jnp.where(springs.is_held, force, before[:, 0])[:, None],
+            jnp.where(joints.is_held[num_joints:, None], bounds, before[:, 1:]),
+        ],
+        axis=1,
+    )
 
 
 def current_angle(bodies: Bodies, joints: Joints) -> jax.Array:
@@ -212,13 +243,19 @@ def constraints(bodies: Bodies, joints: Joints) -> Constraints:
         return jax.tree.map(lambda p, o: jnp.where(like(joints.is_prismatic, p), p, o), prismatic, other)
 
     across = vec2.left(axis)
-    return Constraints(
+    rows = Constraints(
         axial=by_kind(along(axis), turning),
         first=by_kind(along(across), x),
         second=by_kind(turning, y),
         position=by_kind(vec2.dot(axis, gap), angle),
         error=by_kind(jnp.stack([vec2.dot(across, gap), angle], -1), gap),
     )
+    if not joints.has_rods:
+        return rows
+    line, length = line_of(gap, arm_a, arm_b)
+    none = jax.tree.map(jnp.zeros_like, line)
+    of_rods = Constraints(axial=line, first=none, second=none, position=length, error=jnp.zeros_like(gap))
+    return jax.tree.map(lambda r, o: jnp.where(like(joints.is_rod, r), r, o), of_rods, rows)
 
 
 def common_arms(joints: Joints, gap: jax.Array, arm_a: jax.Array, arm_b: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -250,6 +287,10 @@ def stretched(bodies: Bodies, joints: Joints, h: jax.Array) -> jax.Array:
     """
     arm_a, arm_b = arms(bodies, joints)
     impulse = jnp.where(joints.is_prismatic[:, None], 0, joints.impulses.point)
+    if joints.has_rods:
+        line = vec2.unit_or_zero(current_gap(bodies, joints, arm_a, arm_b))
+        along = (joints.impulses.lower - joints.impulses.upper)[:, None] * line
+        impulse = jnp.where(joints.is_rod[:, None], along, impulse)
     pair = joints.pair
     moves_a = pair.mass_a + pair.inertia_a * vec2.dot(arm_a, arm_a)
     moves_b = pair.mass_b + pair.inertia_b * vec2.dot(arm_b, arm_b)
@@ -288,10 +329,10 @@ def place(bodies: Bodies, joints: Joints) -> PlacedJoints:
     # An axis does not yield: under a load a motor would creep.
     yielding = (mass, jnp.where(is_slider, turning, mass), jnp.where(joints.is_fixed, turning, 0))
     point = own[0] + jnp.where(is_slider, 0, own[1])
-    rounding = jnp.concatenate([point, jnp.where(is_slider, own[1], point), own[2]])
-    system = joint_system.build(
-        dense, inverse, C.joint_compliance * jnp.concatenate(yielding), C.joint_rounding * rounding
-    )
+    rounding = C.joint_rounding * jnp.concatenate([point, jnp.where(is_slider, own[1], point), own[2]])
+    if joints.has_rods:  # of two rounds the second makes good what this leaves
+        rounding = rounding.at[-len(mass) :].add(jnp.where(joints.is_rod, C.joint_compliance * mass, 0))
+    system = joint_system.build(dense, inverse, C.joint_compliance * jnp.concatenate(yielding), rounding)
     return PlacedJoints(rows, system)
 
 
@@ -340,18 +381,16 @@ def solve_soft(
     use_bias: bool,
     after: Velocities | None = None,
 ) -> tuple[Bodies, Joints, jax.Array]:
-    """The first of two rounds of a pass with bias, or a bounce, over springs and all joints; or the second, for what
-    contacts and changed spins have made wrong since, `after` the velocities that contacts left. No motors in a bounce:
-    a force or torque does nothing in an instant. Also the bodies [n] that it moved in a repeated pass.
+    """The first of two rounds of a pass with bias, over springs and all joints; or the second, for what contacts and
+    changed spins have made wrong since, `after` the velocities that contacts left; or a bounce, without springs and
+    motors: a force or torque does nothing in an instant. Also the bodies [n] that it moved in a repeated pass.
 
     A round is solved with what motors and limits held at last. Where that cannot be at the speeds that come out, their
     articulation is solved again with what they would hold. Where they do not agree with each other in the end, limits
     hold still, which takes energy and gives none."""
     by_springs, is_first = jnp.zeros_like(active.now), after is None
-    if is_first:
-        bodies, springs, by_springs = springs_of.solve(
-            bodies, joints.springs, params, active, use_bias=use_bias, forces=use_bias
-        )
+    if is_first and use_bias:
+        bodies, springs, by_springs = springs_of.solve(bodies, joints.springs, params, active, use_bias=True)
         joints = joints._replace(springs=springs)
     num_joints = joints.is_held.shape[0]
     if num_joints == 0:
@@ -389,6 +428,8 @@ def solve_soft(
         def chosen() -> _Attempt:
             done = solve(at)
             total, speed = done.impulses[-num_joints:], joint_system.times(system.rows, done.velocities)[-num_joints:]
+            if joints.has_rods:
+                speed += jnp.where(joints.is_rod, bias[-num_joints:], 0)
             axes, changes = axial_rows.choose(done.axes, speed, total)
             changes &= has_axis(joints) & done.included
             again = done.included & jnp.any(joints.together & changes, axis=1)
@@ -422,7 +463,7 @@ def with_row_impulses(joints: Joints, impulses: jax.Array) -> Joints:
     """Joints with impulses [3J] of their rows: along an axis, a motor's and beyond it a limit's."""
     i, axes, num_joints = joints.impulses, joints.axes, joints.is_held.shape[0]
     total = impulses[-num_joints:]
-    motor = jnp.where(axes.is_limit, axes.pushing, total)
+    motor = jnp.where(joints.is_rod, 0, jnp.where(axes.is_limit, axes.pushing, total))
     solved = JointImpulses(
         point=impulses[: 2 * num_joints].reshape(2, -1).T,
         angular_impulse=jnp.where(has_axis(joints), motor, jnp.where(joints.is_fixed, total, i.angular_impulse)),
@@ -458,7 +499,8 @@ def answers(bodies: Bodies, joints: Joints, placed: PlacedJoints, pushed: jax.Ar
 
     # A motor gives nothing in an instant: with bias the second round has what it makes of it, else the next sub-step.
     holds = joints.axes.holds
-    released = joints.axes._replace(holds=jnp.where(holds == axial_rows.MOTOR, axial_rows.NOTHING, holds))
+    is_motor = (holds == axial_rows.MOTOR) & ~joints.is_rod
+    released = joints.axes._replace(holds=jnp.where(is_motor, axial_rows.NOTHING, holds))
 
     def solved() -> Answers:
         impulses = -joint_system.solve(system, held_rows(joints, released), system.rows)
@@ -537,7 +579,11 @@ def bend_speed(
     none = jnp.zeros_like(of_slider)
     x, y = jnp.moveaxis(moved - speed, -1, 0)
     is_slider = joints.is_prismatic
-    return jnp.concatenate([jnp.where(is_slider, of_slider, x), jnp.where(is_slider, none, y), none])
+    speeds = jnp.concatenate([jnp.where(is_slider, of_slider, x), jnp.where(is_slider, none, y), none])
+    if not joints.has_rods:
+        return speeds
+    of_rods = jnp.concatenate([none, none, bend_of_line(gap, moved, now.axial, of, params.h)])
+    return jnp.where(jnp.tile(joints.is_rod, 3), of_rods, speeds)
 
 
 def chord(arm: jax.Array, turn: jax.Array) -> jax.Array:
@@ -551,7 +597,7 @@ def begin_axes(
 ) -> AxialRows:
     """Motors and limits of the joints in this sub-step, with what they held at last."""
     now, system = placed
-    return_speed = jnp.where(joints.is_prismatic, params.joint_pull_speed, params.joint_turn_speed)
+    return_speed = jnp.where(joints.is_prismatic | joints.is_rod, params.joint_pull_speed, params.joint_turn_speed)
 
     def approach(clearance: jax.Array) -> jax.Array:
         """Speed at which a joint may go towards its limit; from beyond the limit it comes back."""
@@ -569,6 +615,11 @@ def begin_axes(
         most=jnp.where(drives, joints.max_motor_impulse, motor),
     )
     speed = speed_along(now.axial, pair_velocities(joints.pair, bodies.velocities))
+    if joints.has_rods:
+        aside = across_line(now.axial, *arms(bodies, joints))
+        across_mass = vec2.inverse_or_zero(inverse_mass(joints.pair, aside, aside))
+        lengths = Lengths(now.position, joints.lower, joints.upper, C.rod_strength * across_mass / params.h)
+        rows = choose(joints.is_rod, hold_lengths(rows, lengths, approach, speed), rows)
     begun = axial_rows.begin(rows, speed)
     is_servo = joints.is_servo & drives
 

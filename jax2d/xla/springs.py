@@ -1,4 +1,4 @@
-"""Springs, dampers, ropes and rods: forces and limits along the line between an anchor on a and one on b.
+"""Springs and dampers: forces along the line between an anchor on a and one on b.
 
     impulse = -h (k (C + theta h v) + c v), C = length - rest length at the start of the sub-step, v the speed after it
 
@@ -16,25 +16,13 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
-from jax2d.scene import Scene, State
-from jax2d.solver_numbers import Softness, SolverNumbers
-from jax2d.xla import vec2
+from jax2d.scene import Scene
+from jax2d.solver_numbers import SolverNumbers
 from jax2d.xla.active_set import ActiveSet, has_one_of, marked
-from jax2d.xla.bodies import Bodies, Pair, Velocities, is_slowed, pair_up, pair_velocities, scatter_velocities
+from jax2d.xla.bodies import Bodies, Pair, Velocities, pair_up, pair_velocities, scatter_velocities
 from jax2d.xla.branching import choose
+from jax2d.xla.rods import line_of
 from jax2d.xla.rows import Jacobian, arms, current_gap, inverse_mass, push, speed_along, work_of_kinematic
-
-
-class SpringImpulses(NamedTuple):
-    """Accumulated over steps, [S] N s."""
-
-    force: jax.Array  # positive where it pushes apart
-    shortest: jax.Array
-    longest: jax.Array
-
-    @property
-    def total(self) -> jax.Array:
-        return self.force + self.shortest - self.longest
 
 
 class Springs(NamedTuple):
@@ -50,18 +38,11 @@ class Springs(NamedTuple):
     rest_length: jax.Array  # [S] m
     stiffness: jax.Array  # [S] N/m
     damping: jax.Array  # [S] N s/m
-    min_length: jax.Array  # [S] m
-    max_length: jax.Array
     stretch: jax.Array  # [S] m, at the start of the sub-step
-    impulses: SpringImpulses
+    impulse: jax.Array  # [S] N s, accumulated over steps, positive where it pushes apart
 
 
-def load(state: State, params: SolverNumbers) -> SpringImpulses:
-    impulse = jnp.where(params.warm_start, state.spring_impulse, 0)
-    return SpringImpulses(impulse[:, 0], impulse[:, 1], impulse[:, 2])
-
-
-def prepare(bodies: Bodies, scene: Scene, impulses: SpringImpulses) -> Springs:
+def prepare(bodies: Bodies, scene: Scene, impulse: jax.Array) -> Springs:
     of = scene.springs
     is_held = of.active & (bodies.is_dynamic[of.a] | bodies.is_dynamic[of.b])
     return Springs(
@@ -75,10 +56,8 @@ def prepare(bodies: Bodies, scene: Scene, impulses: SpringImpulses) -> Springs:
         rest_length=of.rest_length,
         stiffness=of.stiffness,
         damping=of.damping,
-        min_length=of.min_length,
-        max_length=of.max_length,
         stretch=jnp.zeros_like(of.rest_length),
-        impulses=impulses,
+        impulse=impulse,
     )
 
 
@@ -92,21 +71,10 @@ def replace_found(old: Springs, new: Springs, which: jax.Array) -> Springs:
     )
 
 
-def store(bodies: Bodies, springs: Springs, state: State) -> jax.Array:
-    """Impulses as in `State.spring_impulse`; those that hold nothing keep what they had."""
-    solved = jnp.where(is_slowed(bodies, springs.pair)[:, None], 0, jnp.stack(springs.impulses, -1))
-    return jnp.where(springs.is_held[:, None], solved, state.spring_impulse)
-
-
 def line(bodies: Bodies, springs: Springs) -> tuple[Jacobian, jax.Array]:
     """(rows [S] along the lines, lengths [S] m) as the bodies stand now."""
     arm_a, arm_b = arms(bodies, springs)
-    gap = current_gap(bodies, springs, arm_a, arm_b)
-    length = vec2.length(gap)
-    # Anchors in one place are pushed apart upwards, as circles in one place are.
-    apart = (length > C.coincident_distance)[:, None]
-    axis = jnp.where(apart, vec2.unit_or_zero(gap), jnp.array([0.0, 1.0], gap.dtype))
-    return Jacobian(axis, vec2.cross(arm_a, axis), vec2.cross(arm_b, axis)), length
+    return line_of(current_gap(bodies, springs, arm_a, arm_b), arm_a, arm_b)
 
 
 def warm_start(bodies: Bodies, springs: Springs) -> Bodies:
@@ -114,7 +82,7 @@ def warm_start(bodies: Bodies, springs: Springs) -> Bodies:
         return bodies
     rows, _ = line(bodies, springs)
     before = pair_velocities(springs.pair, bodies.velocities)
-    after = push(before, springs.pair, rows, springs.impulses.total)
+    after = push(before, springs.pair, rows, springs.impulse)
     return bodies._replace(velocities=scatter_velocities(bodies.velocities, springs.pair, before, after))
 
 
@@ -127,17 +95,12 @@ class Row(NamedTuple):
     has_force: jax.Array  # bool
     pull: jax.Array  # N s, of the stretch
     resistance: jax.Array  # N s/m
-    shortest_room: jax.Array  # m left before the limit, negative beyond it
-    longest_room: jax.Array
-    has_shortest: jax.Array  # bool
-    has_longest: jax.Array
 
 
 def solve(
-    bodies: Bodies, springs: Springs, params: SolverNumbers, active: ActiveSet, *, use_bias: bool, forces: bool
+    bodies: Bodies, springs: Springs, params: SolverNumbers, active: ActiveSet, *, use_bias: bool
 ) -> tuple[Bodies, Springs, jax.Array]:
-    """Passes over all elements. No `forces` in a bounce: they do nothing in an instant. Also the bodies [n] that they
-    moved in a repeated pass."""
+    """Passes over all elements. Also the bodies [n] that they moved in a repeated pass."""
     if springs.rest_length.shape[0] == 0:
         return bodies, springs, jnp.zeros_like(active.now)
     rows, length = line(bodies, springs)
@@ -149,48 +112,32 @@ def solve(
         pair=springs.pair,
         line=rows,
         inverse_mass=inverse,
-        has_force=((springs.stiffness > 0) | (springs.damping > 0)) & forces,
+        has_force=(springs.stiffness > 0) | (springs.damping > 0),
         pull=h * stiffness * springs.stretch,
         resistance=springs.damping + theta * h * stiffness,
-        shortest_room=length - springs.min_length,
-        longest_room=springs.max_length - length,
-        has_shortest=springs.min_length > 0,
-        has_longest=springs.max_length < C.no_maximum,
     )
 
-    def solve_one(velocities: Velocities, now: tuple[Row, SpringImpulses, jax.Array]) -> tuple:
-        row, impulses, included = now
-        before = of = pair_velocities(row.pair, velocities)
-        free_speed = speed_along(row.line, of) - row.inverse_mass * impulses.force
+    def solve_one(velocities: Velocities, now: tuple[Row, jax.Array, jax.Array]) -> tuple:
+        row, impulse, included = now
+        before = pair_velocities(row.pair, velocities)
+        free_speed = speed_along(row.line, before) - row.inverse_mass * impulse
         slowed = 1 + h * row.resistance * row.inverse_mass
-        force = -(row.pull + h * row.resistance * free_speed) / slowed
-        force = jnp.where(row.has_force, force, impulses.force)
-        of = push(of, row.pair, row.line, force - impulses.force)
-        mass = vec2.inverse_or_zero(row.inverse_mass)
-
-        def limit(clearance: jax.Array, speed: jax.Array, accumulated: jax.Array, exists: jax.Array) -> jax.Array:
-            total = limit_impulse(clearance, speed, mass, accumulated, params, use_bias=use_bias)
-            return jnp.where(exists, total, accumulated)
-
-        shortest = limit(row.shortest_room, speed_along(row.line, of), impulses.shortest, row.has_shortest)
-        of = push(of, row.pair, row.line, shortest - impulses.shortest)
-        longest = limit(row.longest_room, -speed_along(row.line, of), impulses.longest, row.has_longest)
-        of = push(of, row.pair, row.line, impulses.longest - longest)
-        solved = SpringImpulses(force, shortest, longest)
-        of, solved = choose(included, (of, solved), (before, impulses))
-        return scatter_velocities(velocities, row.pair, before, of), (solved, active.moves(before, of))
+        total = -(row.pull + h * row.resistance * free_speed) / slowed
+        total = jnp.where(row.has_force & included, total, impulse)
+        of = choose(included, push(before, row.pair, row.line, total - impulse), before)
+        return scatter_velocities(velocities, row.pair, before, of), (total, active.moves(before, of))
 
     included = active.includes(springs.pair)
 
-    def one_pass(now: tuple[Velocities, SpringImpulses], _: None) -> tuple:
-        velocities, (impulses, moved) = jax.lax.scan(solve_one, now[0], (row, now[1], included))
-        return (velocities, impulses), moved
+    def one_pass(now: tuple[Velocities, jax.Array], _: None) -> tuple:
+        velocities, (impulse, moved) = jax.lax.scan(solve_one, now[0], (row, now[1], included))
+        return (velocities, impulse), moved
 
     passes = C.spring_passes if use_bias else 1
-    (velocities, impulses), moved = jax.lax.scan(one_pass, (bodies.velocities, springs.impulses), length=passes)
+    (velocities, impulse), moved = jax.lax.scan(one_pass, (bodies.velocities, springs.impulse), length=passes)
     return (
         bodies._replace(velocities=velocities),
-        springs._replace(impulses=impulses),
+        springs._replace(impulse=impulse),
         marked(bodies, springs.pair, jnp.any(moved, axis=0)),
     )
 
@@ -207,35 +154,17 @@ def solvable(stiffness: jax.Array, inverse: jax.Array, params: SolverNumbers) ->
     return stiffness, q + jnp.maximum(max_theta - max_q, 0) * (q / max_q) ** 2
 
 
-def limit_impulse(
-    clearance: jax.Array,
-    speed: jax.Array,
-    mass: jax.Array,
-    accumulated: jax.Array,
-    params: SolverNumbers,
-    *,
-    use_bias: bool,
-) -> jax.Array:
-    """New total of a one-sided limit. clearance: what is left before it; speed: that at which it grows. It is softened
-    as the stiffest spring is: rows of rods that are not would gain energy."""
-    soft = params.spring if use_bias else Softness(0.0, 1.0, 0.0)
-    back = jnp.maximum(soft.bias_rate * clearance, -params.joint_pull_speed)
-    hard = -mass * (speed + clearance / params.h)
-    softened = -mass * soft.mass_scale * (speed + back) - soft.impulse_scale * accumulated
-    return jnp.maximum(accumulated + jnp.where(clearance > 0, hard, softened), 0)
-
-
 def work(bodies: Bodies, springs: Springs) -> jax.Array:
     """[S] J, what they have added to the bodies' energy in this sub-step."""
     speed = speed_along(line(bodies, springs)[0], pair_velocities(springs.pair, bodies.velocities))
-    return jnp.maximum(springs.impulses.force * speed, 0)
+    return jnp.maximum(springs.impulse * speed, 0)
 
 
 def kinematic_work(bodies: Bodies, springs: Springs) -> jax.Array:
     """[S] J, what kinematic bodies have done through them in this sub-step."""
     if springs.rest_length.shape[0] == 0:
         return jnp.zeros(0, bodies.velocities.velocity.dtype)
-    rows, impulse = line(bodies, springs)[0], springs.impulses.total
+    rows, impulse = line(bodies, springs)[0], springs.impulse
     return work_of_kinematic(
         bodies, springs.pair, rows.direction * impulse[:, None], rows.lever_a * impulse, rows.lever_b * impulse
     )

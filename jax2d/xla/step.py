@@ -74,7 +74,7 @@ def run(
             velocity=bodies.velocities.velocity,
             angular_velocity=bodies.velocities.omega,
             joint_impulse=joints_of.store(end.joints, state),
-            spring_impulse=springs_of.store(end.bodies, end.joints.springs, state),
+            spring_impulse=joints_of.store_springs(end.bodies, end.joints, state),
             contact_key=end.cache.key,
             contact_impulse=end.cache.impulse,
             rolling_impulse=state.rolling_impulse if end.cache.rolling is None else end.cache.rolling,
@@ -282,7 +282,7 @@ def _solve_passes(
         if sharing is not None:
             standing, has_gained = sharing
             bodies, springs, moved = springs_of.solve(
-                now.bodies, now.joints.springs, params, now.active, use_bias=False, forces=True
+                now.bodies, now.joints.springs, params, now.active, use_bias=False
             )
             joints = now.joints._replace(springs=springs)
             shared = joints_of.solve_soft(now.bodies, now.joints, standing, params, now.active, use_bias=False)

@@ -151,9 +151,7 @@ def test_motors_act_all_at_once() -> None:
     loaded = at_rest(world.position, world.angle)
     loaded = loaded._replace(inverse_inertia=jnp.full(3, 10.0))
     params = solver_numbers(preset("paper"))
-    none = joints.WarmStart(
-        joints.JointImpulses(jnp.zeros((2, 2)), *jnp.zeros((3, 2))), joints.SpringImpulses(*jnp.zeros((3, 0)))
-    )
+    none = joints.WarmStart(joints.JointImpulses(jnp.zeros((2, 2)), *jnp.zeros((3, 2))), jnp.zeros(0))
     controls = Controls(motor=jnp.ones(2), thruster=jnp.zeros(0))
     held = joints.prepare(loaded, jax.tree.map(jnp.asarray, world.scene), none, controls, params)
     omega = paper.apply_motors(loaded, held, params).velocities.omega

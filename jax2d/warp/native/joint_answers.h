@@ -13,7 +13,8 @@ struct JointAnswers {
   }
 
   KFN bool is_held_by_motor(int k) const {
-    return joints.list[k].has_axial_row() && joints.system.axial[k].holds == AxialRow::MOTOR;
+    const Joint& joint = joints.list[k];
+    return joint.has_axial_row() && !joint.is_rod() && joints.system.axial[k].holds == AxialRow::MOTOR;
   }
 
   // Whether a motor of theirs holds.

@@ -72,22 +72,26 @@ struct Block {
 
 // Rows of a joint as its bodies stand: speeds of b seen from a along two directions at the common point, and about it. Of a
 // hinge or weld they are those of the world, and the third row is the turn: that of a motor, limits or a weld. Of a slider they
-// are across and along its axis, and the third row is that along it.
+// are across and along its axis, and the third row is that along it. Of a rope or rod it is that along its line, and no other
+// row is held.
 struct JointRows {
   Vec2 levers_a, levers_b;  // about both centres, of the two directions
-  Vec2 axis;       // of a slider
+  Vec2 axis;       // of a slider, a rope or a rod
   bool is_slider;  // known when compiled, where there are none
   real third;      // 1 where the third row is held
   real is_weld;    // 1 where it yields; under a load a motor would creep
+  bool is_rod;     // or a rope
 
   // From lever arms about both centres to the common point.
   KFN static JointRows of(Vec2 a, Vec2 b, real third, real is_weld) {
-    return {{-a.y, a.x}, {-b.y, b.x}, {real(0), real(0)}, false, third, is_weld};
+    return {{-a.y, a.x}, {-b.y, b.x}, {real(0), real(0)}, false, third, is_weld, false};
   }
-  KFN static JointRows of_slider(Vec2 a, Vec2 b, Vec2 axis, real third) {
+  KFN static JointRows of_slider(Vec2 a, Vec2 b, Vec2 axis, real third, bool is_rod) {
     Vec2 across = axis.left();
-    return {{a.cross(across), a.cross(axis)}, {b.cross(across), b.cross(axis)}, axis, true, third, real(0)};
+    return {{a.cross(across), a.cross(axis)}, {b.cross(across), b.cross(axis)}, axis, true, third, real(0), is_rod};
   }
+  // 1 where the first two rows are held.
+  KFN real others() const { return HAS_RODS && is_rod ? real(0) : real(1); }
 
   // A vector of the world along the two directions, and back.
   KFN Vec2 along(Vec2 v) const { return is_slider ? Vec2{axis.left().dot(v), axis.dot(v)} : v; }
@@ -107,7 +111,7 @@ struct JointRows {
   KFN real axial_speed(const Pair& pair) const { return is_slider ? at_point(pair).y : turning(pair); }
   KFN Vec3 speeds(const Pair& pair) const {
     Vec3 all = ordered(at_point(pair), turning(pair));
-    return {all.x, all.y, third * all.z};
+    return {others() * all.x, others() * all.y, third * all.z};
   }
 
   KFN void push(Pair& pair, Vec3 impulse) const {
@@ -125,6 +129,9 @@ struct JointRows {
   KFN static real moved(const Pair& pair, real da, real ea, real db, real eb, real linear) {
     return Fused::of(pair.inverse_inertia_a * da, ea, Fused::of(pair.inverse_inertia_b * db, eb, linear));
   }
+  KFN real across(const Pair& pair) const {
+    return moved(pair, levers_a.x, levers_a.x, levers_b.x, levers_b.x, pair.inverse_mass_a + pair.inverse_mass_b);
+  }
   KFN real axial(const Pair& pair) const {
     if (!is_slider) return pair.inverse_inertia_a + pair.inverse_inertia_b;
     return moved(pair, levers_a.y, levers_a.y, levers_b.y, levers_b.y, pair.inverse_mass_a + pair.inverse_mass_b);
@@ -140,8 +147,10 @@ struct JointRows {
     real turn = pair.inverse_inertia_a + pair.inverse_inertia_b;
     Symmetric3 m = {xx, xy, turned.x, yy, turned.y, turn};
     if (is_slider) m = {xx, turned.x, xy, turn, turned.y, yy};
+    if (HAS_RODS && is_rod) m = {none, none, none, none, none, yy};
     if (HELD_ROWS == 2 || third == none) m.xz = m.yz = m.zz = none;
     Vec3 more = yielding(pair, {real(1), real(1), real(1)});
+    if (HAS_RODS && is_rod) more.z = JOINT_COMPLIANCE * mass;  // of two rounds the second makes good what this leaves
     real rounding = JOINT_ROUNDING * (m.xx + (is_slider ? none : m.yy));
     return {with(m.xx, more.x + rounding), m.xy, m.xz, with(m.yy, more.y + (is_slider ? JOINT_ROUNDING * m.yy : rounding)),
             m.yz, with(m.zz, more.z + JOINT_ROUNDING * m.zz)};
@@ -173,7 +182,7 @@ struct JointSide {
     real turned = inertia * lever;
     Vec3 all = o.rows.ordered({Fused::of(turned, o.levers.x, mass * cosines.x), Fused::of(turned, o.levers.y, mass * cosines.y)},
                               turned * o.sign);
-    return {all.x, all.y, o.rows.third * all.z};
+    return {o.rows.others() * all.x, o.rows.others() * all.y, o.rows.third * all.z};
   }
   KFN void add_coupling(Block& block, const JointSide& o, real mass, real inertia) const {
     real none = real(0), same = sign * o.sign;
@@ -184,8 +193,8 @@ struct JointSide {
     }
     Vec3 x = moved(first, levers.x, o, mass, inertia), y = moved(second, levers.y, o, mass, inertia);
     Vec3 turn = HELD_ROWS > 2 || rows.is_slider ? moved({none, none}, sign, o, mass, inertia) : Vec3{none, none, none};
-    block.x = block.x.plus(x, real(1));
-    block.y = block.y.plus(rows.is_slider ? turn : y, real(1));
+    block.x = block.x.plus(x, rows.others());
+    block.y = block.y.plus(rows.is_slider ? turn : y, rows.others());
     if (HELD_ROWS > 2) block.z = block.z.plus(rows.is_slider ? y : turn, rows.third);
   }
 };

@@ -2,12 +2,13 @@
 //
 // Body b is held to body a. Angles are angle_b - angle_a - rest angle. A hinge holds a common point, a weld the angle as
 // well; a slider (Box2D's b2PrismaticJoint) holds b's anchor on an axis of a, and the angle. Joints are solved as one linear
-// system (joint_system.h). Hard joints follow the appendix of the Kinetix paper (paper.h).
+// system (joint_system.h), and with them ropes and rods: springs with a bound of their length. Hard joints follow the appendix of
+// the Kinetix paper (paper.h).
 
 struct Joints {
   ARRAY(Joint, list, NUM_JOINTS + 1);
   ARRAY(Vec2, local_axis, HAS_PRISMATIC_JOINTS ? NUM_JOINTS + 1 : 1);  // frame of a, of sliders
-  ARRAY(Vec2, axis, HAS_PRISMATIC_JOINTS ? NUM_JOINTS + 1 : 1);        // world frame, as the bodies stand
+  ARRAY(Vec2, axis, HAS_AXIS_JOINTS ? NUM_JOINTS + 1 : 1);  // world frame, as the bodies stand; of ropes and rods their line
   ARRAY(Drive, drives, HAS_BRAKES_AND_SERVOS ? NUM_JOINTS + 1 : 1);
   ARRAY(unsigned int, included, JOINT_WORDS);  // a bit a joint that a pass is about
   ARRAY(unsigned int, repeated, JOINT_WORDS);  // the same: for which it is a repeated one, of an impact
@@ -21,7 +22,7 @@ struct Joints {
   // Which joints there are and how they are coupled: the same in all steps of a call.
   KFN void find(const Bodies& bodies, const IntColumn& ints) {
     count = 0;
-    for (int j = 0; j < NUM_JOINTS; ++j) {
+    for (int j = 0; j < JOINT_SLOTS; ++j) {
       int packed = ints.get(INTS_JOINTS + j);
       if ((packed >> JOINTS_ACTIVE_SHIFT & 1) == 0) continue;
       if (!Joint::is_compiled_in(packed)) continue;
@@ -32,6 +33,12 @@ struct Joints {
       list[count].a = a;
       list[count].b = b;
       system.order[count++] = j;
+    }
+    for (int s = 0; s < springs.count; ++s) {  // none in the preset of the paper
+      if (!springs.is_bounded(s)) continue;
+      list[count].a = springs.a_of(s);
+      list[count].b = springs.b_of(s);
+      system.order[count++] = JOINT_SLOTS + s;
     }
     system.count = count;
     JointSystem::clear(released);
@@ -68,7 +75,14 @@ struct Joints {
     if (is_first) find(bodies, ints);
     for (int k = 0; k < count; ++k) {
       Joint& joint = list[k];
-      int j = system.order[k], packed = ints.get(INTS_JOINTS + j);
+      int j = system.order[k];
+      if (j >= JOINT_SLOTS) {
+        springs.load_rod(j - JOINT_SLOTS, joint);
+        reset_impulses(k);
+        if (params.get(PARAM_WARM_START) != real(0)) load_impulses(joint, impulses);
+        continue;
+      }
+      int packed = ints.get(INTS_JOINTS + j);
       joint.index = j;
       joint.flags = packed;
       joint.a = Slot::shape(packed >> JOINTS_A_SHIFT & JOINTS_A_MASK);
@@ -100,6 +114,11 @@ struct Joints {
   }
 
   KFN static void load_impulses(Joint& joint, const Column& impulses) {
+    if (joint.is_rod()) {
+      joint.impulse_lower = impulses.get(IMPULSE_SPRING_IMPULSE + 3 * joint.index + 1);
+      joint.impulse_upper = impulses.get(IMPULSE_SPRING_IMPULSE + 3 * joint.index + 2);
+      return;
+    }
     int row = IMPULSE_JOINT_IMPULSE + 5 * joint.index;
     joint.impulse = impulses.get2(row);
     joint.angular_impulse = impulses.get(row + 2);
@@ -111,6 +130,11 @@ struct Joints {
     springs.store(impulses);
     for (int k = 0; k < count; ++k) {
       const Joint& joint = list[k];
+      if (joint.is_rod()) {
+        impulses.set(IMPULSE_SPRING_IMPULSE + 3 * joint.index + 1, joint.impulse_lower);
+        impulses.set(IMPULSE_SPRING_IMPULSE + 3 * joint.index + 2, joint.impulse_upper);
+        continue;
+      }
       impulses.set2(IMPULSE_JOINT_IMPULSE + 5 * joint.index, joint.impulse);
       impulses.set(IMPULSE_JOINT_IMPULSE + 5 * joint.index + 2, joint.angular_impulse);
       impulses.set(IMPULSE_JOINT_IMPULSE + 5 * joint.index + 3, joint.impulse_lower);
@@ -126,6 +150,11 @@ struct Joints {
       Joint& joint = list[k];
       if (!Bodies::has(which, bodies.is_dynamic(joint.a) ? joint.a : joint.b)) continue;
       joint.centre_gap = bodies.position[joint.b] - bodies.position[joint.a];
+      if (joint.is_rod()) {
+        place(bodies, k);
+        system.axial[k].holds = held_before(bodies, k);
+        continue;
+      }
       joint.start_angle = joint.wanted_angle(bodies.angle[joint.b] - bodies.angle[joint.a] -
                                              scene.get(SCENE_JOINTS_REST_ANGLE + joint.index));
       place(bodies, k);
@@ -151,6 +180,7 @@ struct Joints {
   // What the row along its axis holds, by the impulses that it has and the motor's speed.
   KFN int held_before(const Bodies& bodies, int k) const {
     const Joint& joint = list[k];
+    if (joint.is_rod()) return joint.total_impulse() != real(0) ? AxialRow::MOTOR : AxialRow::NOTHING;
     if (joint.is_limited() && joint.impulse_lower > real(0)) return AxialRow::LOWER;
     if (joint.is_limited() && joint.impulse_upper > real(0)) return AxialRow::UPPER;
     real speed = rows_of(k).axial_speed(Pair::of(bodies, joint.a, joint.b));
@@ -163,7 +193,7 @@ struct Joints {
     const Joint& joint = list[k];
     real none = real(0), one = real(1), is_weld = joint.is_fixed() ? one : none, third = is_weld;
     if (HAS_AXES && joint.has_axial_row()) third = system.axial[k].holds != AxialRow::NOTHING && !JointSystem::has(released, k) ? one : none;
-    if (joint.is_prismatic()) return JointRows::of_slider(joint.common_a, joint.common_b, axis[k], third);
+    if (joint.is_along_line()) return JointRows::of_slider(joint.common_a, joint.common_b, axis[k], third, joint.is_rod());
     return JointRows::of(joint.common_a, joint.common_b, third, is_weld);
   }
 
@@ -174,8 +204,13 @@ struct Joints {
       const Joint& joint = list[k];
       if (!joint.is_prismatic()) {
         Vec2 arm_a = bodies.rotation[joint.a].apply(joint.local_a), arm_b = bodies.rotation[joint.b].apply(joint.local_b);
-        bodies.stretch(scene, joint.a, arm_a, -h * arm_a.dot(joint.impulse), joint.b, arm_b);
-        bodies.stretch(scene, joint.b, arm_b, h * arm_b.dot(joint.impulse), joint.a, arm_a);
+        Vec2 impulse = joint.impulse;
+        if (joint.is_rod()) {
+          place(bodies, k);
+          impulse = axis[k] * (joint.impulse_lower - joint.impulse_upper);
+        }
+        bodies.stretch(scene, joint.a, arm_a, -h * arm_a.dot(impulse), joint.b, arm_b);
+        bodies.stretch(scene, joint.b, arm_b, h * arm_b.dot(impulse), joint.a, arm_a);
       }
       reset_impulses(k);
     }
@@ -200,8 +235,8 @@ struct Joints {
   // out, their articulation is solved again with what they would. Where they do not agree with each other in the end, limits
   // hold still, which takes energy and gives none.
   KFN void solve_soft(Bodies& bodies, const Soft& soft, bool use_bias, bool is_first, LineSearch& search, ActiveSet& active) {
-    if (is_first)
-      for (int pass = 0; pass < (use_bias ? SPRING_PASSES : 1); ++pass) springs.solve(bodies, soft, use_bias, use_bias, active);
+    if (is_first && use_bias)
+      for (int pass = 0; pass < SPRING_PASSES; ++pass) springs.solve(bodies, soft, true, active);
     if (count == 0) return;
     bool is_new = is_first || JointSystem::any(released);
     JointSystem::clear(released);
@@ -229,7 +264,7 @@ struct Joints {
       for (int k = count - 1; k >= 0; --k)
         if (JointSystem::has(which, k)) exert(bodies, k, -(searches ? system.x[k] : system.substitute(k, false)), active);
       searches = false;
-      if (!HAS_AXES || attempt == AXIAL_CHANGES || !choose_held(bodies, which, attempt + 1 == AXIAL_CHANGES)) break;
+      if (!HAS_AXES || attempt == AXIAL_CHANGES || !choose_held(bodies, which, use_bias, attempt + 1 == AXIAL_CHANGES)) break;
       is_new = true;
     }
   }
@@ -295,7 +330,7 @@ struct Joints {
   }
 
   // What motors and limits would hold now. `which` are then articulations where that is something else; False if none.
-  KFN bool choose_held(const Bodies& bodies, unsigned int* which, bool is_last) {
+  KFN bool choose_held(const Bodies& bodies, unsigned int* which, bool use_bias, bool is_last) {
     unsigned int changed[JOINT_WORDS];  // last joints of articulations
     JointSystem::clear(changed);
     bool any = false;
@@ -304,6 +339,7 @@ struct Joints {
       if (!joint.has_axial_row()) continue;
       AxialRow& row = system.axial[k.joint];
       real speed = row.holds == AxialRow::NOTHING ? rows_of(k.joint).axial_speed(Pair::of(bodies, joint.a, joint.b)) : real(0);
+      if (joint.is_rod() && use_bias) speed += system.bias[k.joint].z;
       if (!row.choose(speed, joint.total_impulse())) continue;
       JointSystem::add(changed, system.last[k.joint]);
       any = true;
@@ -344,7 +380,11 @@ struct Joints {
       JointRows rows = rows_of(k.joint);
       Vec3 wrong = rows.speeds(pair);
       if (use_bias) wrong = wrong.plus(system.bias[k.joint], real(1));
-      if (HAS_AXES && joint.has_axial_row()) wrong.z = rows.third * (rows.axial_speed(pair) - system.axial[k.joint].speed());
+      if (HAS_AXES && joint.has_axial_row()) {
+        real speed = rows.axial_speed(pair);
+        if (joint.is_rod() && use_bias) speed += system.bias[k.joint].z;
+        wrong.z = rows.third * (speed - system.axial[k.joint].speed());
+      }
       if (use_bias) wrong = wrong.plus(rows.yielding(pair, joint.held_impulse()), real(1));
       system.x[k.joint] = wrong;
       if (!is_new) continue;
@@ -373,12 +413,14 @@ struct Joints {
   KFN void place(const Bodies& bodies, int k) {
     list[k].place(bodies);
     if (list[k].is_prismatic()) axis[k] = bodies.rotation[list[k].a].apply(local_axis[k]);
+    if (list[k].is_rod()) axis[k] = Springs::axis_of(list[k].apart, list[k].apart.length());
   }
 
   // Those that do not hold as the bodies stand (`measure.are_open`).
   KFN int num_open(const Bodies& bodies) {
     int number = 0;
     for (int k = 0; k < count; ++k) {
+      if (list[k].is_rod()) continue;
       place(bodies, k);
       const Joint& joint = list[k];
       Vec2 gap = joint.apart;
@@ -403,7 +445,7 @@ struct Joints {
   }
 
   KFN real axial_position(const Bodies& bodies, int k) const {
-    return list[k].is_prismatic() ? axis[k].dot(list[k].apart) : list[k].current_angle(bodies);
+    return list[k].is_along_line() ? axis[k].dot(list[k].apart) : list[k].current_angle(bodies);
   }
 
   KFN void begin_axis(const Bodies& bodies, int k, const Soft& soft, bool use_bias) {
@@ -415,8 +457,9 @@ struct Joints {
     row.target = joint.motor_target;
     row.lowest = -FAR_DISTANCE;
     row.highest = FAR_DISTANCE;
+    if (joint.is_rod()) return begin_rod(bodies, k, soft, use_bias);
     if (joint.is_limited()) {
-      real position = axial_position(bodies, k), back = joint.is_prismatic() ? soft.pull_speed : soft.turn_back_speed;
+      real position = axial_position(bodies, k), back = joint.is_along_line() ? soft.pull_speed : soft.turn_back_speed;
       row.lowest = -soft.limit_speed(position - joint.lower, back, use_bias);
       row.highest = Math::max(soft.limit_speed(joint.upper - position, back, use_bias), row.lowest);
     }
@@ -425,6 +468,26 @@ struct Joints {
       row.holds = AxialRow::MOTOR;
     else
       row.begin(rows_of(k).axial_speed(Pair::of(bodies, joint.a, joint.b)));
+  }
+
+  // A rope or rod holds its length as a motor does its speed, with bounded impulses: the nearer bound's.
+  KFN void begin_rod(const Bodies& bodies, int k, const Soft& soft, bool use_bias) {
+    const Joint& joint = list[k];
+    AxialRow& row = system.axial[k];
+    JointRows rows = rows_of(k);
+    Pair pair = Pair::of(bodies, joint.a, joint.b);
+    real length = axial_position(bodies, k), left = joint.upper - length, above = length - joint.lower;
+    bool is_long = left < above;
+    real way = soft.limit_speed(is_long ? left : above, soft.pull_speed, use_bias), speed = rows.axial_speed(pair);
+    real across = Math::max(length, is_long ? joint.upper : joint.lower) * Math::inverse_or_zero(rows.across(pair));
+    real most = ROD_STRENGTH * across * soft.inverse_h;
+    row.target = is_long ? way : -way;
+    row.least = is_long || joint.lower == joint.upper ? -most : real(0);
+    row.most = is_long && joint.lower < joint.upper ? real(0) : most;
+    // What is at its bound holds at first: to let go takes one attempt, to be pulled tight one after the other takes many.
+    bool is_met = is_long ? speed > row.target : speed < row.target;
+    if (is_met || Math::min(left, above) < TOUCHING_DISTANCE) row.holds = AxialRow::MOTOR;
+    row.begin(speed);
   }
 
   // Speeds at which what is held goes wrong beside its rows' speeds if the bodies move as they do, and what undoes the errors
@@ -436,6 +499,11 @@ struct Joints {
     Vec2 turned = (b.chord(joint.arm_b) - a.chord(joint.arm_a)) * soft.inverse_h;
     Vec2 bend = turned.minus(joint.common_b.left(), pair.omega_b).plus(joint.common_a.left(), pair.omega_a);
     real none = real(0), angle = none;
+    if (joint.is_rod()) {  // its length, as the anchors move on
+      Vec2 moved = turned + (pair.velocity_b - pair.velocity_a), after = joint.apart.plus(moved, soft.h);
+      real lengths = Math::max(joint.apart.length() + after.length(), COINCIDENT_DISTANCE);
+      return {none, none, Fast::divide(moved.dot(joint.apart + after), lengths) - rows_of(k).axial_speed(pair)};
+    }
     if (joint.is_fixed() || joint.is_prismatic())
       angle = Math::clamp(soft.joint_rate * joint.current_angle(bodies), -soft.turn_back_speed, soft.turn_back_speed);
     if (joint.is_prismatic()) {

@@ -11,7 +11,10 @@ struct Springs {
   KFN void prepare(const Bodies&, const unsigned int*) {}
   KFN void scale_impulses(int, real) {}
   KFN void warm_start(Bodies&) {}
-  KFN void solve(Bodies&, const Soft&, bool, bool, ActiveSet&) {}
+  KFN void solve(Bodies&, const Soft&, bool, ActiveSet&) {}
+  KFN bool is_bounded(int) const { return false; }
+  KFN void load_rod(int, Joint&) const {}
+  KFN static Vec2 axis_of(Vec2 gap, real) { return gap; }
   KFN real kinematic_work(const Bodies&, int) const { return real(0); }
   KFN real work(const Bodies&, int) const { return real(0); }
 };

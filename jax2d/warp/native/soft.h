@@ -31,24 +31,6 @@ struct Soft {
             params.get(PARAM_PUSH_OUT_SPEED), params.get(PARAM_JOINT_PULL_SPEED), params.get(PARAM_JOINT_TURN_SPEED)};
   }
 
-  // Of a limit along a line, one-sided: clearance is what is left before it, speed that at which clearance grows. It is softened as
-  // springs are: rows of rods that are not would gain energy.
-  KFN real limit_impulse(real clearance, real speed, real mass, real& accumulated, bool use_bias) const {
-    real bias = real(0), mass_scale = real(1), impulse_scale = real(0);
-    if (clearance > real(0)) {
-      bias = clearance * inverse_h;
-    } else if (use_bias) {
-      bias = Math::max(spring.bias_rate * clearance, -pull_speed);
-      mass_scale = spring.mass_scale;
-      impulse_scale = spring.impulse_scale;
-    }
-    real impulse = -mass * mass_scale * (speed + bias) - impulse_scale * accumulated;
-    real total = Math::max(accumulated + impulse, real(0));
-    impulse = total - accumulated;
-    accumulated = total;
-    return impulse;
-  }
-
   // Fastest at which a joint may go towards its limit, at `clearance` from it. Beyond the limit it comes back.
   KFN real limit_speed(real clearance, real max_return_speed, bool use_bias) const {
     if (clearance > real(0)) return clearance * inverse_h;

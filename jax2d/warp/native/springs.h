@@ -1,4 +1,4 @@
-// Springs, dampers, ropes and rods: forces and limits along the line between an anchor on a and one on b.
+// Springs and dampers: forces along the line between an anchor on a and one on b. Bounds of its length are a joint (joints.h).
 //
 //   impulse = -h (k (C + theta h v) + c v), C = length - rest length at the start of the sub-step, v the speed after it
 //
@@ -13,7 +13,7 @@ struct Spring {
   Vec2 centre_gap;  // centre of b from centre of a at the start of the step
   real rest_length, stiffness, damping, min_length, max_length;
   real stretch;     // m, at the start of the sub-step
-  real impulse, impulse_min, impulse_max;  // N s, positive where it pushes apart; of the limits
+  real impulse;     // N s, positive where it pushes apart
 
   // As the bodies stand now.
   struct Line {
@@ -32,14 +32,16 @@ struct Spring {
     }
   };
 
-  KFN real total() const { return impulse + impulse_min - impulse_max; }
+  // Anchors in one place are pushed apart upwards, as circles in one place are.
+  KFN static Vec2 axis_of(Vec2 gap, real length) {
+    return length > COINCIDENT_DISTANCE ? gap * (real(1) / length) : Vec2{real(0), real(1)};
+  }
 
   KFN Line line(const Bodies& bodies) const {
     Vec2 arm_a = bodies.rotation[a].apply(local_a), arm_b = bodies.rotation[b].apply(local_b);
     Vec2 gap = centre_gap + (bodies.delta(b) - bodies.delta(a)) + (arm_b - arm_a);
     real length = gap.length();
-    // Anchors in one place are pushed apart upwards, as circles in one place are.
-    Vec2 axis = length > COINCIDENT_DISTANCE ? gap * (real(1) / length) : Vec2{real(0), real(1)};
+    Vec2 axis = axis_of(gap, length);
     return {axis, length, arm_a.cross(axis), arm_b.cross(axis)};
   }
 
@@ -54,14 +56,6 @@ struct Spring {
     real total = -h * (k * stretch + resistance * free_speed) / (real(1) + h * resistance * inverse_mass);
     line.push(pair, total - impulse);
     impulse = total;
-  }
-
-  KFN void solve_limits(const Line& line, Pair& pair, const Soft& soft, bool use_bias) {
-    real mass = Math::inverse_or_zero(line.inverse_mass(pair));
-    if (min_length > real(0))
-      line.push(pair, soft.limit_impulse(line.length - min_length, line.speed(pair), mass, impulse_min, use_bias));
-    if (max_length < NO_MAXIMUM)
-      line.push(pair, -soft.limit_impulse(max_length - line.length, -line.speed(pair), mass, impulse_max, use_bias));
   }
 };
 
@@ -89,38 +83,45 @@ struct Springs {
       spring.damping = scene.get(SCENE_SPRINGS_DAMPING + s);
       spring.min_length = scene.get(SCENE_SPRINGS_MIN_LENGTH + s);
       spring.max_length = scene.get(SCENE_SPRINGS_MAX_LENGTH + s);
-      spring.stretch = spring.impulse = spring.impulse_min = spring.impulse_max = real(0);
+      spring.stretch = spring.impulse = real(0);
     }
     if (params.get(PARAM_WARM_START) != real(0)) load_impulses(impulses);
   }
 
   // The impulses as they were last stored.
   KFN void load_impulses(const Column& impulses) {
-    for (int k = 0; k < count; ++k) {
-      int row = IMPULSE_SPRING_IMPULSE + 3 * list[k].index;
-      list[k].impulse = impulses.get(row);
-      list[k].impulse_min = impulses.get(row + 1);
-      list[k].impulse_max = impulses.get(row + 2);
-    }
+    for (int k = 0; k < count; ++k) list[k].impulse = impulses.get(IMPULSE_SPRING_IMPULSE + 3 * list[k].index);
   }
 
   KFN void reset_slowed(const Bodies& bodies) {
     for (int k = 0; k < count; ++k)
-      if (bodies.is_slowed(list[k].a, list[k].b))
-        list[k].impulse = list[k].impulse_min = list[k].impulse_max = real(0);
+      if (bodies.is_slowed(list[k].a, list[k].b)) list[k].impulse = real(0);
   }
 
   KFN void store(const Column& impulses) const {
-    for (int k = 0; k < count; ++k) {
-      int row = IMPULSE_SPRING_IMPULSE + 3 * list[k].index;
-      impulses.set(row, list[k].impulse);
-      impulses.set(row + 1, list[k].impulse_min);
-      impulses.set(row + 2, list[k].impulse_max);
-    }
+    for (int k = 0; k < count; ++k) impulses.set(IMPULSE_SPRING_IMPULSE + 3 * list[k].index, list[k].impulse);
   }
 
   KFN int a_of(int k) const { return list[k].a; }
   KFN int b_of(int k) const { return list[k].b; }
+  KFN static Vec2 axis_of(Vec2 gap, real length) { return Spring::axis_of(gap, length); }
+
+  // A rope, a rod, or a spring that goes no farther.
+  KFN bool is_bounded(int k) const { return list[k].min_length > real(0) || list[k].max_length < NO_MAXIMUM; }
+
+  // What bounds the length of spring k, as a joint.
+  KFN void load_rod(int k, Joint& joint) const {
+    const Spring& spring = list[k];
+    joint.index = spring.index;
+    joint.flags = Joint::KIND_ROD << JOINTS_KIND_SHIFT | Joint::LIMITS_BIT;
+    joint.a = spring.a;
+    joint.b = spring.b;
+    joint.local_a = spring.local_a;
+    joint.local_b = spring.local_b;
+    joint.lower = spring.min_length > real(0) ? spring.min_length : -FAR_DISTANCE;
+    joint.upper = spring.max_length < NO_MAXIMUM ? spring.max_length : FAR_DISTANCE;
+    joint.start_angle = joint.axial_mass = joint.motor_target = joint.max_motor_impulse = real(0);
+  }
 
   // Those on bodies of `which`, in islands.
   KFN void prepare(const Bodies& bodies, const unsigned int* which) {
@@ -130,15 +131,11 @@ struct Springs {
     }
   }
 
-  KFN void scale_impulses(int k, real share) {
-    list[k].impulse *= share;
-    list[k].impulse_min *= share;
-    list[k].impulse_max *= share;
-  }
+  KFN void scale_impulses(int k, real share) { list[k].impulse *= share; }
 
   // All that spring k exerts, where the bodies are now.
   KFN void apply_impulses(const Bodies& bodies, Pair& pair, int k) const {
-    list[k].line(bodies).push(pair, list[k].total());
+    list[k].line(bodies).push(pair, list[k].impulse);
   }
 
   KFN void warm_start(Bodies& bodies) {
@@ -149,16 +146,14 @@ struct Springs {
     }
   }
 
-  // Without `forces` in a bounce: they do nothing in an instant.
-  KFN void solve(Bodies& bodies, const Soft& soft, bool use_bias, bool forces, ActiveSet& active) {
+  KFN void solve(Bodies& bodies, const Soft& soft, bool use_bias, ActiveSet& active) {
     for (int k = 0; k < count; ++k) {
       Spring& spring = list[k];
       if (active.leaves_out(spring.a, spring.b)) continue;
       Pair pair = Pair::of(bodies, spring.a, spring.b);
       Vec2 before = pair.velocity_b - pair.velocity_a;
       Spring::Line line = spring.line(bodies);
-      if (forces) spring.solve_force(line, pair, soft, use_bias);
-      spring.solve_limits(line, pair, soft, use_bias);
+      spring.solve_force(line, pair, soft, use_bias);
       if (active.shares(spring.a, spring.b)) active.mark_if_moved(bodies, pair, before);
       pair.write_back(bodies);
     }
@@ -168,7 +163,7 @@ struct Springs {
   KFN real kinematic_work(const Bodies& bodies, int k) const {
     if (!bodies.is_kinematic(list[k].a) && !bodies.is_kinematic(list[k].b)) return real(0);
     Pair taken = Pair::of_kinematic(bodies, list[k].a, list[k].b);
-    list[k].line(bodies).push(taken, list[k].total());
+    list[k].line(bodies).push(taken, list[k].impulse);
     return taken.work_of_kinematic(bodies);
   }
 

@@ -200,7 +200,7 @@ struct World {
       if (use_bias || round > 0 || energy_passes > 0)
         joints.solve_soft(bodies, soft, use_bias, !is_second, search, contacts.active);
       else
-        joints.springs.solve(bodies, soft, false, true, contacts.active);
+        joints.springs.solve(bodies, soft, false, contacts.active);
       if (LINE_SEARCH && use_bias && !is_second) begin_search();
       if (!is_second) contacts.solve_soft(bodies, joints, search, soft, use_bias, round);
       if (use_bias) {
