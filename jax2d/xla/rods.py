@@ -17,7 +17,7 @@ from jax2d.constants import CONSTANTS as C
 from jax2d.fields import fields_of
 from jax2d.scene import Joints, Scene
 from jax2d.xla import vec2
-from jax2d.xla.axial_rows import MOTOR, AxialRows
+from jax2d.xla.axial_rows import MOTOR, NOTHING, AxialRows
 from jax2d.xla.bodies import PairVelocities
 from jax2d.xla.rows import Jacobian, speed_along
 
@@ -76,22 +76,22 @@ class Lengths(NamedTuple):
 def hold_lengths(
     rows: AxialRows, of: Lengths, approach: Callable[[jax.Array], jax.Array], speed: jax.Array
 ) -> AxialRows:
-    """Rows [k] that hold lengths at the nearer bound, as a motor does its speed, with bounded impulses. approach: speed
-    at which a length may go towards a bound, by what is left before it. speed: [k] m/s, at which lengths grow."""
+    """Rows [k] that hold lengths at the nearer bound, as a motor does its speed, with bounded impulses; the other bound
+    is a limit in this sub-step. approach: speed at which a length may go towards a bound, by what is left before it.
+    speed: [k] m/s, at which lengths grow."""
     left, above = of.longest - of.now, of.now - of.shortest
     is_long, is_rigid = left < above, of.shortest == of.longest
     target = jnp.where(is_long, approach(left), -approach(above))
     most = of.strength * jnp.maximum(of.now, jnp.where(is_long, of.longest, of.shortest))
     # What is at its bound holds at first: to let go takes one attempt, to be pulled tight one after the other many.
     is_met = jnp.where(is_long, speed > target, speed < target) | (jnp.minimum(left, above) < C.touching_distance)
-    far = jnp.full_like(left, C.far_distance)
     return rows._replace(
-        lowest=-far,
-        highest=far,
+        lowest=jnp.where(is_long & ~is_rigid, -approach(above), -C.far_distance),
+        highest=jnp.where(is_long | is_rigid, C.far_distance, approach(left)),
         target=target,
         least=jnp.where(is_long | is_rigid, -most, 0),
         most=jnp.where(is_long & ~is_rigid, 0, most),
-        holds=jnp.where(is_met, MOTOR, rows.holds),
+        holds=jnp.where(is_met, MOTOR, jnp.where(rows.is_limit, NOTHING, rows.holds)),
     )
 
 

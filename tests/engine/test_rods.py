@@ -160,6 +160,22 @@ def test_free_row_that_turns_keeps_its_momenta_and_gains_no_energy(name: str, lo
     assert (1 - lost) * energy[0] < energy.min() and energy.max() < 1.01 * energy[0]
 
 
+@pytest.mark.parametrize(
+    ("play", "start", "velocity"), [(0.01, 0.4, (20, 0)), (0.01, 0.4, (-5, 0)), (1e-3, 0.4, (3, 3))]
+)
+def test_strut_with_a_little_play_stops_at_either_end(play: float, start: float, velocity: tuple[float, float]):
+    """From where the other end is as near, and in a sub-step that would go far beyond."""
+    for nearer in (-0.1, 0.1):
+        place = (start + nearer * play, 0.0)
+        builder = SceneBuilder(CAPACITY, gravity=(0, 0))
+        base = builder.add_box(width=0.1, height=0.1, fixed=True, mask=0)
+        disc = builder.add_circle(radius=RADIUS_M, position=place, velocity=velocity, mask=0)
+        shortest, longest = start - play / 2, start + play / 2
+        builder.add_spring(base, disc, at_a=(0, 0), at_b=place, stiffness=0.0, min_length=shortest, max_length=longest)
+        lengths = motion(builder.build(), 0.5).spring_lengths()[:, 0]
+        assert lengths.min() > shortest - 1e-5 and lengths.max() < longest + 1e-5
+
+
 def test_truss_of_rods_bears_loads_in_both_directions():
     """A girder of four bays that stands on its first and last lower joint: what stretches and what is pressed."""
     builder = SceneBuilder(CAPACITY)

@@ -18,7 +18,7 @@ struct Joint {
   Vec2 impulse;           // at the common point; of a slider across its axis, and about it
   real angular_impulse, impulse_lower, impulse_upper;  // of the motor, or of a fixed joint's angle; of limits
 
-  enum { MOTOR_BIT = 1 << JOINTS_MOTOR_ON_SHIFT, LIMITS_BIT = 1 << JOINTS_HAS_LIMITS_SHIFT };
+  enum { MOTOR_BIT = 1 << JOINTS_MOTOR_ON_SHIFT };
   enum { KIND_ROD = JOINTS_KIND_MASK };  // after those of a scene
 
   KFN static int kind_of(int word) { return word >> JOINTS_KIND_SHIFT & JOINTS_KIND_MASK; }
@@ -35,7 +35,7 @@ struct Joint {
   KFN bool is_along_line() const { return is_prismatic() || is_rod(); }
   KFN bool is_driven() const { return HAS_MOTORS && (flags & MOTOR_BIT) != 0; }
   KFN int drive() const { return HAS_BRAKES_AND_SERVOS ? flags >> JOINTS_DRIVE_SHIFT & JOINTS_DRIVE_MASK : DRIVE_VELOCITY; }
-  KFN bool is_limited() const { return HAS_JOINT_LIMITS + HAS_RODS > 0 && (flags & LIMITS_BIT) != 0; }
+  KFN bool is_limited() const { return is_rod() || (HAS_JOINT_LIMITS && (flags >> JOINTS_HAS_LIMITS_SHIFT & 1) != 0); }
 
   // Limits that say how often a body has turned against the other.
   KFN bool is_wide() const { return bounds_angle() && upper - lower > WIDE_LIMITS; }

@@ -470,7 +470,8 @@ struct Joints {
       row.begin(rows_of(k).axial_speed(Pair::of(bodies, joint.a, joint.b)));
   }
 
-  // A rope or rod holds its length as a motor does its speed, with bounded impulses: the nearer bound's.
+  // A rope or rod holds its length at the nearer bound as a motor does its speed, with bounded impulses. The other bound is a limit
+  // in this sub-step.
   KFN void begin_rod(const Bodies& bodies, int k, const Soft& soft, bool use_bias) {
     const Joint& joint = list[k];
     AxialRow& row = system.axial[k];
@@ -484,6 +485,9 @@ struct Joints {
     row.target = is_long ? way : -way;
     row.least = is_long || joint.lower == joint.upper ? -most : real(0);
     row.most = is_long && joint.lower < joint.upper ? real(0) : most;
+    if (joint.lower < joint.upper && is_long) row.lowest = -above * soft.inverse_h;
+    if (joint.lower < joint.upper && !is_long) row.highest = left * soft.inverse_h;
+    if (row.is_limit()) row.holds = AxialRow::NOTHING;
     // What is at its bound holds at first: to let go takes one attempt, to be pulled tight one after the other takes many.
     bool is_met = is_long ? speed > row.target : speed < row.target;
     if (is_met || Math::min(left, above) < TOUCHING_DISTANCE) row.holds = AxialRow::MOTOR;

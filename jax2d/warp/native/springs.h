@@ -113,7 +113,7 @@ struct Springs {
   KFN void load_rod(int k, Joint& joint) const {
     const Spring& spring = list[k];
     joint.index = spring.index;
-    joint.flags = Joint::KIND_ROD << JOINTS_KIND_SHIFT | Joint::LIMITS_BIT;
+    joint.flags = Joint::KIND_ROD << JOINTS_KIND_SHIFT;
     joint.a = spring.a;
     joint.b = spring.b;
     joint.local_a = spring.local_a;
