@@ -1,7 +1,7 @@
 // One joint while a world is stepped, and what its packed word says.
 //
-// Body b is held to body a. Angles are angle_b - angle_a - rest angle. Ropes and rods are joints with limits: of the length
-// between the anchors, the only one that they hold.
+// Body b is held to body a. Angles are angle_b - angle_a - rest angle. Ropes and rods are joints that hold nothing but the length
+// between their anchors, within bounds (Joints::begin_rod).
 
 struct Joint {
   unsigned int a : SHAPE_BITS, b : SHAPE_BITS;  // one word: a GPU waits for each that it loads

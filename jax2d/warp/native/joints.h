@@ -478,15 +478,14 @@ struct Joints {
     JointRows rows = rows_of(k);
     Pair pair = Pair::of(bodies, joint.a, joint.b);
     real length = axial_position(bodies, k), left = joint.upper - length, above = length - joint.lower;
-    bool is_long = left < above;
+    bool is_long = left < above, is_rigid = joint.lower == joint.upper;
     real way = soft.limit_speed(is_long ? left : above, soft.pull_speed, use_bias), speed = rows.axial_speed(pair);
     real across = Math::max(length, is_long ? joint.upper : joint.lower) * Math::inverse_or_zero(rows.across(pair));
     real most = ROD_STRENGTH * across * soft.inverse_h;
     row.target = is_long ? way : -way;
-    row.least = is_long || joint.lower == joint.upper ? -most : real(0);
-    row.most = is_long && joint.lower < joint.upper ? real(0) : most;
-    if (joint.lower < joint.upper && is_long) row.lowest = -above * soft.inverse_h;
-    if (joint.lower < joint.upper && !is_long) row.highest = left * soft.inverse_h;
+    row.least = is_long || is_rigid ? -most : real(0);
+    row.most = is_long && !is_rigid ? real(0) : most;
+    if (!is_rigid) (is_long ? row.lowest : row.highest) = (is_long ? -above : left) * soft.inverse_h;
     if (row.is_limit()) row.holds = AxialRow::NOTHING;
     // What is at its bound holds at first: to let go takes one attempt, to be pulled tight one after the other takes many.
     bool is_met = is_long ? speed > row.target : speed < row.target;
