@@ -147,7 +147,7 @@ def write_worlds(size: str, levels: Path | None, count: int, order: str, file: P
     fields = {name: np.asarray(values) for name, values in as_dict(scene).items()}
     fields |= {name: np.asarray(x) for name, x in zip(STARTS, starts)}
     played = in_order(np.arange(count) % len(starts[0]), structure_of(scene), order)
-    np.savez(file, **fields, **{PLAYED: np.asarray(played)})
+    np.savez(file, allow_pickle=False, **fields, **{PLAYED: np.asarray(played)})
     return capacity, source
 
 

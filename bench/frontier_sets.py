@@ -70,7 +70,7 @@ def choose(size: str, policies: dict[str, Trained], arguments: argparse.Namespac
     while len(found) < arguments.num_levels and num_drawn < arguments.max_drawn:
         indices = np.arange(num_drawn, num_drawn + arguments.batch)
         num_drawn += arguments.batch
-        levels = stream_levels(size, indices)
+        levels = stream_levels(size, indices.tolist())
         by_chance = solved_counts(env, chance, levels, np.full(arguments.batch, True), arguments.attempts, seed=0)
         is_hard = (by_chance < MAX_RANDOM_RATE * arguments.attempts) & ~np.asarray(noop_solved(levels))
         is_solved = np.full(arguments.batch, False)

@@ -29,7 +29,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from bench.compiled_traffic import CompiledText, Launch, launches_of, loop_body
 from bench.program import exit_code, output_file, parser_of, report_each
-from kinetix_dist.benchmarks.learner_step import LearnerProgram, Options, learner_program
+from kinetix_dist.benchmarks.learner_step import LearnerProgram, Network, Options, Size, learner_program
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS
 from kinetix_dist.errors import UserError
 from kinetix_dist.learner.config import PpoConfig
@@ -182,7 +182,7 @@ def by_part(launches: list[Launch]) -> list[Traffic]:
     return rows
 
 
-def measure(size: str, network: str, options: Any, device: Any) -> dict[str, Any]:
+def measure(size: Size, network: Network, options: Any, device: Any) -> dict[str, Any]:
     """The record of one network at one size."""
     learner = Options(
         size=size,

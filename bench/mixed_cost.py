@@ -108,16 +108,18 @@ def player(worlds: Path, room: Capacity, settings: Settings, seconds: float) -> 
 def measure(args: argparse.Namespace, report: Callable[[str], None]) -> dict[str, Any]:
     candidates = candidates_of(args.study)
     timed: dict[tuple[str, str], TimedRun] = {}
+    sources: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         for size in args.sizes:
             room, source = write_worlds(size, args.levels, args.worlds, DRAWN, Path(folder, f"{size}.npz"))
+            sources.append(source)
             for one in candidates:
                 run = player(Path(folder, f"{size}.npz"), room, one.settings, args.seconds)
                 timed[one.name, size] = TimedRun(f"{one.name}, {size}", run)
         time_interleaved(list(timed.values()), repeats=args.repeats, report=report)
     if failed := next((run.failure for run in timed.values() if run.failure is not None), None):
         raise UserError(failed)
-    records = [
+    records: list[dict[str, Any]] = [
         {
             "setting": one.name,
             "is_preset": one.is_preset,
@@ -130,8 +132,13 @@ def measure(args: argparse.Namespace, report: Callable[[str], None]) -> dict[str
         front = pareto_set([(r["us_per_world_second"][where], r["error"]) for r in records])
         for i, record in enumerate(records):
             record.setdefault("unbeaten", []).extend([where] if i in front else [])
-    device = jax.devices()[0].device_kind
-    return {"device": device, "levels": source, "worlds": args.worlds, "seconds": args.seconds, "records": records}
+    return {
+        "device": jax.devices()[0].device_kind,
+        "levels": ", ".join(dict.fromkeys(sources)),
+        "worlds": args.worlds,
+        "seconds": args.seconds,
+        "records": records,
+    }
 
 
 def show(found: dict[str, Any], sizes: list[str], console: Console) -> None:

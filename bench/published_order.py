@@ -99,7 +99,7 @@ def solve_order(
     total = jnp.sum(jnp.where(queue.is_beside, counted, 0), axis=1)
     group = queue.group
     spread = (queue.pairs[group] - total + rank) % np.maximum(queue.batches[group], 1)
-    return SolveOrder(batch=queue.first_batch[group] + spread, is_dropped=jnp.asarray(queue.is_last))
+    return SolveOrder(batch=jnp.asarray(queue.first_batch[group] + spread), is_dropped=jnp.asarray(queue.is_last))
 
 
 def _bodies_of_joints(scene: Scene, num_shapes: int) -> jax.Array:

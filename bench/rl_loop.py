@@ -111,7 +111,7 @@ def box2d(args: argparse.Namespace, config: EnvConfig, levels: Level) -> list[di
     }
     with tempfile.TemporaryDirectory() as folder:
         scenes, answer = Path(folder, "scenes.npz"), Path(folder, "answer.json")
-        np.savez(scenes, **arrays)
+        np.savez(scenes, allow_pickle=False, **arrays)
         try:
             BOX2D_LOOP.run(request | {"scenes": str(scenes)}, answer)
         except (PeerMissing, RuntimeError) as error:
@@ -137,7 +137,7 @@ def compiled(env: Environment, levels: Level, worlds: int, num_steps: int, repea
             actions = env.observe(prepared, obs)
             for each in weights:
                 actions = jnp.tanh(actions @ each)
-            state, obs, *_ = env.step(prepared, state, jnp.clip(actions, low, high))
+            state, obs, *_rest = env.step(prepared, state, jnp.clip(actions, low, high))
             return (state, obs), None
 
         return jax.lax.scan(step, (state, obs), length=num_steps)[0]

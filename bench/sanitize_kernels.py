@@ -47,7 +47,8 @@ def compute(size: str) -> None:
     policy = make_policy(PolicyConfig(kernels="fused", dtype="bfloat16", read_out="colour"), ACTIONS.head_sizes)
 
     def outputs(params: Any, obs: Any) -> Any:
-        logits, values = policy.apply(params, obs)
+        outputs: Any = policy.apply(params, obs)
+        logits, values = outputs
         return sum(jnp.sum(jax.nn.log_softmax(head)[:, 0]) for head in logits) + jnp.sum(values**2)
 
     plain = make_policy(PolicyConfig(read_out="colour"), ACTIONS.head_sizes)  # has the same parameters

@@ -95,7 +95,8 @@ def thickness_of(size: float) -> float:
 
 def aim(target: str, size: float, number: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """[number] each: speed, angle of flight, the point that is aimed at, the distance to it, and how walls move."""
-    speed = np.exp(rng.uniform(*np.log(SPEEDS_M_S), number))
+    slowest, fastest = np.log(SPEEDS_M_S)
+    speed = np.exp(rng.uniform(slowest, fastest, number))
     side = rng.choice([-1.0, 1.0], number)
     tilt = np.radians(rng.uniform(15, 75, number)) * side
     y = -rng.uniform(0, 0.6, number)
@@ -272,7 +273,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
                 judging.append((kind, shots.speed, workers.submit(judge, shots)))
                 collect(2 * (os.cpu_count() or 1))
         collect(0)
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"target": kind[0], "size_m": kind[1], "shape": "box" if kind[2] else "disc"}
         | {"shots": shots.tolist(), "passed": through.tolist()}
         for kind, (shots, through) in totals.items()

@@ -92,7 +92,7 @@ def measure(name: str, program: str, options: Any) -> dict[str, Any]:
     if options.text is not None:
         (options.text / f"{name}_{config.policy.network}_{program}.txt").write_text(text)
     found = CompiledText(text)
-    kernels = []
+    kernels: list[dict[str, Any]] = []
     for launch in launches_of(found, loop_body(found, iterations)):
         kernels.append(
             {

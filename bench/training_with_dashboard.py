@@ -32,7 +32,8 @@ from bench.dashboard import CHECKOUT, DRAWN, add_browser_argument, launched, ser
 from bench.program import exit_code, output_file, parser_of
 from kinetix_dist.child_python import command_of
 from kinetix_dist.errors import UserError
-from kinetix_dist.studio.runs.run_index import last_row
+from kinetix_dist.studio.runs.run_files import last_row
+from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 
 LOOK_MS = 20  # between looks for a row
 LEFT_OUT = 3  # updates at the start: they compile, and the page is opened
@@ -78,7 +79,7 @@ def measure(browser: Any, runs: Path, arguments: argparse.Namespace) -> list[dic
             while True:
                 if training.poll() is not None:
                     raise UserError(f"training ended with {training.returncode}; its lines stand above")
-                row = last_row(metrics)
+                row = last_row(metrics, is_row=is_metrics_row).row
                 if row is not None and row["update"] > after:
                     return row["update"]
                 page.wait_for_timeout(LOOK_MS) if is_watched else time.sleep(LOOK_MS / 1000)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple, Unpack
 
 import jax
@@ -26,6 +25,7 @@ from jax2d.builder_checks import (
     LARGEST,
     SMALLEST_RADIUS_M,
     Point,
+    Points,
     SceneError,
     SceneFullError,
     check_polygon,
@@ -91,7 +91,7 @@ class SceneBuilder:
 
     # Shapes
 
-    def add_polygon(self, vertices: Sequence[Point], **options: Unpack[BodyKeywords]) -> int:
+    def add_polygon(self, vertices: Points, **options: Unpack[BodyKeywords]) -> int:
         """A convex polygon; options are the fields of `BodyOptions`. `vertices` run counter-clockwise about any origin,
         which comes to `position`; the shape's position in a state is its centre of mass."""
         corners = check_polygon(vertices, self.capacity.vertices)
@@ -124,9 +124,7 @@ class SceneBuilder:
         self._set_shape(index, body, np.zeros(2))
         return index
 
-    def add_terrain(
-        self, points: Sequence[Point], *, thickness: float = 0.5, **options: Unpack[MaterialKeywords]
-    ) -> list[int]:
+    def add_terrain(self, points: Points, *, thickness: float = 0.5, **options: Unpack[MaterialKeywords]) -> list[int]:
         """Ground along a line of points, which lies to the right of its direction: below a line that runs to the right.
         A fixed polygon from each point to the next, `thickness` m deep; what slides or rolls over the joints does not
         feel them (`terrain.py` says why). Tiles between two crests have 6 vertices. Options as for add_polygon, but for
@@ -150,7 +148,9 @@ class SceneBuilder:
                 f"terrain of {len(corners)} tiles, and {self._polygons} of {self.capacity.polygons} polygons used; "
                 f"build with Capacity(polygons={needed}) or more"
             )
-        return [self.add_polygon(tile - at, position=at, fixed=True, **options) for tile, at in zip(corners, line)]
+        return [
+            self.add_polygon(tile - line[i], position=line[i], fixed=True, **options) for i, tile in enumerate(corners)
+        ]
 
     def keep_apart(self, a: int, b: int) -> None:
         """Lets two shapes pass through each other. Shapes that a joint connects do so already; `category` and `mask`

@@ -11,7 +11,8 @@ from jax2d.settings import Settings
 from jax2d.shapes import polygon_integrals
 from jax2d.xla.vec2 import cross
 
-Point = Sequence[float]
+Point = Sequence[float] | np.ndarray  # (x, y)
+Points = Sequence[Point] | np.ndarray  # (x, y) of each
 SMALLEST_AREA_M2 = 1e-8  # a square of 0.1 mm: below it inverse inertia overflows float32 when squared
 SMALLEST_RADIUS_M = math.sqrt(SMALLEST_AREA_M2 / math.pi)
 SAME_POINT = 1e-6  # of the longest edge: shorter ones have no direction
@@ -26,7 +27,7 @@ class SceneFullError(SceneError):
     """The capacity has no slot left for what is added."""
 
 
-def finite(name: str, values: Sequence[float], count: int) -> list[float]:
+def finite(name: str, values: Point, count: int) -> list[float]:
     try:
         checked = [number(name, value) for value in values]
     except (TypeError, SceneError):
@@ -82,7 +83,7 @@ def one_of(first: tuple[str, float | None], second: tuple[str, float | None]) ->
         raise SceneError(f"{first[0]} and {second[0]} are both given and say the same in other units; give one")
 
 
-def check_polygon(vertices: Sequence[Point], max_vertices: int) -> np.ndarray:
+def check_polygon(vertices: Points, max_vertices: int) -> np.ndarray:
     """[k, 2] float64 vertices of a valid convex counter-clockwise polygon; SceneError names what is wrong."""
     try:
         corners = np.asarray(vertices, np.float64)

@@ -195,7 +195,7 @@ def world_points(
         fire = 0.0 if thrust is None else float(np.asarray(thrust)[primitive.thruster])
         if fire <= 0:
             return None
-        base = primitive.scale_from
+        base = np.asarray(primitive.scale_from)
         points = base + (points - base) * (primitive.size * fire)
     return position[body] + rotate(points, angle[body])
 

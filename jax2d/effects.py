@@ -11,7 +11,7 @@ effect; inside jit, where nothing can be refused, `Touching.missing` names it, w
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import jax
 import jax.numpy as jnp
@@ -142,9 +142,9 @@ class EffectTable:
 
     def union(self) -> Effects:
         """Effects that any world of the table calls for (concrete arrays only)."""
-        flags = np.asarray(self.flags).reshape(-1, len(EFFECTS)).any(axis=0)
-        slots = np.asarray(self.slots).reshape(-1, len(SLOTS)).max(axis=0, initial=0)
-        return Effects(**dict(zip(EFFECTS, map(bool, flags))), **dict(zip(SLOTS, map(int, slots))))
+        flags = np.any(np.asarray(self.flags).reshape(-1, len(EFFECTS)), axis=0).tolist()
+        slots = np.asarray(self.slots).reshape(-1, len(SLOTS)).max(axis=0, initial=0).tolist()
+        return Effects(**dict(zip(EFFECTS, flags)), **dict(zip(SLOTS, slots)))
 
 
 def effects_of(scenes: Scene) -> Effects:
@@ -215,7 +215,7 @@ def _called_for_by_extended_shapes(shapes: Shapes, meets: jax.Array, polygons: i
     }
 
 
-def _of_pair(combine: jnp.ufunc, coefficient: Array) -> jax.Array:
+def _of_pair(combine: Callable[[jax.Array, jax.Array], jax.Array], coefficient: Array) -> jax.Array:
     """[..., n, n] bool, of shapes with a coefficient above zero."""
     positive = jnp.asarray(coefficient) > 0
     return combine(positive[..., :, None], positive[..., None, :])

@@ -68,9 +68,10 @@ class Field:
 
 def array(dims: str, kind: type, meaning: str, **facts: Any) -> Any:
     """Declares a field of a record; `facts` are those of `Field`."""
-    default = {"default": None} if facts.get("may_be_none") else {}
     declared = {"dims": tuple(dims.split()), "kind": kind, "meaning": meaning, **facts}
-    return dataclasses.field(metadata={_KEY: declared}, **default)
+    if facts.get("may_be_none"):
+        return dataclasses.field(metadata={_KEY: declared}, default=None)
+    return dataclasses.field(metadata={_KEY: declared})
 
 
 def part(kind: type) -> Any:

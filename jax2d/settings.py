@@ -26,7 +26,7 @@ def fastest_spin(dt: float, substeps: int) -> float:
     return min(MAX_TURN_PER_SUBSTEP * substeps, MAX_TURN_PER_STEP) / dt
 
 
-def _is_finite(value: float) -> bool:
+def _is_finite(value: numbers.Real) -> bool:
     try:
         return math.isfinite(value)
     except OverflowError:  # an int beyond all floats
@@ -145,7 +145,7 @@ class Settings:
             elif field.type == "float":
                 if not isinstance(value, numbers.Real) or isinstance(value, bool):
                     raise ValueError(f"{name} is {value!r}; it must be a number")
-                if not (_is_finite(value) and value >= 0):
+                if not _is_finite(value) or value < 0:
                     raise ValueError(f"{name} is {value}; it must be finite and not negative")
             elif field.type == "bool" and not isinstance(value, bool):
                 raise ValueError(f"{name} is {value!r}; it must be True or False")

@@ -10,7 +10,7 @@ whichever tile it meets.)
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -83,10 +83,10 @@ def _no_polygon(points: np.ndarray, thickness: float) -> str | None:
     return None
 
 
-def _segments_cross(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> bool:
-    """Touching counts."""
+def _segments_cross(one: np.ndarray, other: np.ndarray) -> bool:
+    """Touching counts. one, other [2, 2] m: the ends of each."""
 
-    def sides(line: Sequence[np.ndarray], points: Sequence[np.ndarray]) -> list[float]:
+    def sides(line: np.ndarray, points: np.ndarray) -> list[float]:
         return [float(cross(line[1] - line[0], point - line[0])) for point in points]
 
     (a, b), (c, d) = sides(one, other), sides(other, one)

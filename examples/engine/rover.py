@@ -61,6 +61,7 @@ def main() -> None:
     image = draw(world.scene, state, view=(1.0, -1.0, 9.0, 2.0), pixels_per_metre=110, trails=[*rays, way])
     write_png(path, image)
     wheels = CAPACITY.polygons + np.arange(2)
+    assert trajectory.contacts is not None
     touches = trajectory.contacts.impulse_on(CAPACITY.shapes)[-1, wheels, 1] / engine.settings.dt
     print(f"the rover is at x = {way[-1, 0]:.2f} m after {trajectory.time[-1]:.0f} s; wheels bear {touches.round(1)} N")
     print(

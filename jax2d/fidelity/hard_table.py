@@ -33,6 +33,7 @@ def outcomes(settings: Settings) -> dict[str, list[Check] | None]:
     for seconds in sorted({scene.seconds for scene in known}):
         batch = [scene for scene in known if scene.seconds == seconds]
         for scene, trajectory in zip(batch, record_worlds(engine, [s.world for s in batch], seconds=seconds)):
+            assert trajectory.overflow is not None
             overflow = Check("contacts without a slot", trajectory.overflow.sum(), 0)
             results[scene.name] = [*scene.checks(trajectory), overflow]
     return {scene.name: results.get(scene.name) for scene in scenes()}

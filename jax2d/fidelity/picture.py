@@ -33,7 +33,7 @@ def draw(records: Sequence[Record], file: Path, *, title: str) -> None:
     scenes = list(dict.fromkeys(record["scene"] for record in records))
     rows = -(-len(scenes) // COLUMNS)
     figure = plt.figure(figsize=(18, 9 + 2.6 * rows), layout="constrained")
-    top, bottom = figure.subfigures(2, 1, height_ratios=(9, 2.6 * rows))
+    top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=(9, 2.6 * rows)).flat
     _mean_panel(top.subplots(), records, title)
     panels = bottom.subplots(rows, COLUMNS, squeeze=False).flat
     for panel, scene in zip(panels, scenes):

@@ -60,10 +60,10 @@ def reference_scene(
     return register
 
 
-def _link(b: SceneBuilder, start: np.ndarray, angle: float, length: float, width: float, **options: float) -> int:
+def _link(b: SceneBuilder, start: np.ndarray, angle: float, length: float, width: float, friction: float = 1.0) -> int:
     """A rod from `start`, `angle` rad from hanging down."""
     middle = start + length / 2 * np.array([math.sin(angle), -math.cos(angle)])
-    return b.add_box(width=width, height=length, position=middle, angle=angle, **options)
+    return b.add_box(width=width, height=length, position=middle, angle=angle, friction=friction)
 
 
 def _hanging(b: SceneBuilder, angles: tuple[float, ...], length: float, width: float = 0.06) -> list[int]:

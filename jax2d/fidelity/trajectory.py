@@ -62,7 +62,7 @@ def peak(values: np.ndarray) -> float:
 def bounce_heights(height: np.ndarray, upward_speed: np.ndarray) -> list[float]:
     """Highest point after each bounce (falling turns into rising); of the last flight only if it came down again."""
     rising = upward_speed > 0
-    bounces = [*np.flatnonzero(~rising[:-1] & rising[1:]), len(height) - 1]
+    bounces = [*np.flatnonzero(~rising[:-1] & rising[1:]).tolist(), len(height) - 1]
     heights = []
     for start, end in itertools.pairwise(bounces):
         top = start + int(np.argmax(height[start : end + 1]))

@@ -15,7 +15,7 @@ import math
 import re
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol, cast
 
 import jax
 import jax.numpy as jnp
@@ -52,6 +52,16 @@ _WORLDS = (1 << _STEPS_SHIFT) - 1
 _IN_PROGRAM = re.compile(r"custom_call @(\w+)\(.*?\blaunch_id = (\d+)")
 _VARIANTS: dict[str, KernelVariant] = {}  # of this process, by the name that programs call them by
 _TRACING = threading.Lock()  # several threads may trace programs, but share a kernel and the number of its launch
+
+
+class KernelCall(Protocol):
+    """A kernel as a JAX function, as `wp.jax_kernel` makes it."""
+
+    name: str  # by which programs call it
+    input_output_aliases: dict[int, int]
+    launch_id: int  # of the launch that is traced next
+
+    def __call__(self, *tables: Array, launch_dims: int, output_dims: dict[str, tuple[int, ...]]) -> Any: ...
 
 
 @jax.tree_util.register_dataclass
@@ -175,7 +185,7 @@ class WarpBackend:
         start()
         variant = KernelVariant.of(capacity, settings, effects, options, report_contacts=report_contacts)
 
-        def call_for(worlds: int) -> tuple[Any, int]:
+        def call_for(worlds: int) -> tuple[KernelCall, int]:
             chosen = variant.for_worlds(worlds) if jax.default_backend() == "gpu" else variant
             return _jax_call(chosen), chosen.threads(worlds)
 
@@ -249,7 +259,7 @@ class WarpBackend:
 
 
 def _launch(
-    call_for: Callable[[int], tuple[Any, int]], out_rows: int, num_steps: int
+    call_for: Callable[[int], tuple[KernelCall, int]], out_rows: int, num_steps: int
 ) -> Callable[..., tuple[Array, ...]]:
     """The launch of a kernel and its threads, `call_for` a number of worlds, as a function of tables:
 
@@ -299,8 +309,9 @@ def _launch(
 
 
 @functools.cache
-def _jax_call(variant: KernelVariant) -> Any:
-    call = wp.jax_kernel(make_kernel(variant), num_outputs=4, block_dim=variant.options.block_dim)
+def _jax_call(variant: KernelVariant) -> KernelCall:
+    # Warp declares no type for a call without gradients.
+    call = cast(KernelCall, wp.jax_kernel(make_kernel(variant), num_outputs=4, block_dim=variant.options.block_dim))
     # The state is stepped where it stands, which saves a copy in every pass of a loop. XLA does not always keep to it:
     # on a GPU it may let a call write straight into the stacked results of a scan, with other memory for the input. So
     # the kernel takes both, and copies where they differ; with `in_out_argnames` it would read what was never written.

@@ -78,10 +78,12 @@ def make_kernel(variant: KernelVariant) -> wp.Kernel:
         )
 
     step_worlds.__qualname__ = f"step_worlds_{hashlib.sha256(repr(variant).encode()).hexdigest()[:16]}"
-    return wp.kernel(
+    kernel = wp.kernel(
         step_worlds,
         module="unique",
         module_options=variant.options.module_options,
         enable_backward=False,
         **variant.kernel_options,
     )
+    assert isinstance(kernel, wp.Kernel)
+    return kernel

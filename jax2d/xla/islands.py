@@ -149,22 +149,20 @@ def limit_gains(
     velocity = jnp.where(too_much[:, None], velocity, now.velocity)
     omega = jnp.where(too_much, omega, now.omega)
 
-    def scaled(pair: Pair, impulses: jax.Array | None) -> jax.Array | None:
+    def scaled(pair: Pair, impulses: jax.Array) -> jax.Array:
         its_bodies = (pair.is_a | pair.is_b) & bodies.is_dynamic
         by = jnp.min(jnp.where(its_bodies, kept, 1), axis=-1)
-        if impulses is None:
-            return None
         factor = joints_of.like(by, impulses)
         return jnp.where(factor > 0, impulses, 0) * factor
 
-    springs = joints.springs
+    springs, rolling = joints.springs, contacts.rolling_impulse
     return (
         bodies._replace(velocities=Velocities(velocity, omega)),
         joints._replace(springs=springs._replace(impulse=scaled(springs.pair, springs.impulse))),
         contacts._replace(
             impulse_normal=scaled(contacts.pair, contacts.impulse_normal),
             impulse_tangent=scaled(contacts.pair, contacts.impulse_tangent),
-            rolling_impulse=scaled(contacts.pair, contacts.rolling_impulse),
+            rolling_impulse=None if rolling is None else scaled(contacts.pair, rolling),
         ),
     )
 

@@ -130,7 +130,7 @@ def prepare(bodies: Bodies, scene: Scene, before: WarmStart, controls: Controls,
         is_held=is_held,
         is_fixed=is_fixed,
         is_prismatic=is_prismatic,
-        is_rod=of.is_kind(ROD),
+        is_rod=of.kind == ROD,
         is_driven=is_driven,
         is_servo=is_servo,
         is_limited=of.has_limits,
@@ -180,9 +180,20 @@ def replace_found(old: Joints, new: Joints, which: jax.Array) -> Joints:
     """Joints and springs of the bodies of `which` [n] bool, which can be pushed, as they were prepared; others stay."""
     springs = springs_of.replace_found(old.springs, new.springs, which)
     is_of = has_one_of(old.pair, which)
-    names = ("angle_a", "angle_b", "centre_gap", "start_angle", "axial_mass", "max_motor_impulse")
-    rows = {name: jnp.where(like(is_of, getattr(new, name)), getattr(new, name), getattr(old, name)) for name in names}
-    return new._replace(springs=springs, axes=choose(is_of, new.axes, old.axes), **rows)
+
+    def prepared(of_new: jax.Array, of_old: jax.Array) -> jax.Array:
+        return jnp.where(like(is_of, of_new), of_new, of_old)
+
+    return new._replace(
+        springs=springs,
+        angle_a=prepared(new.angle_a, old.angle_a),
+        angle_b=prepared(new.angle_b, old.angle_b),
+        centre_gap=prepared(new.centre_gap, old.centre_gap),
+        start_angle=prepared(new.start_angle, old.start_angle),
+        axial_mass=prepared(new.axial_mass, old.axial_mass),
+        max_motor_impulse=prepared(new.max_motor_impulse, old.max_motor_impulse),
+        axes=choose(is_of, new.axes, old.axes),
+    )
 
 
 def articulations(bodies: Bodies, pair: Pair) -> jax.Array:
@@ -648,7 +659,7 @@ def kinematic_work(bodies: Bodies, joints: Joints, rows: Constraints) -> jax.Arr
         (rows.second, impulses.point[:, 1]),
         (rows.axial, impulses.angular_impulse + impulses.lower - impulses.upper),
     )
-    on_b = sum(row.direction * impulse[:, None] for row, impulse in parts)
-    angular_a = sum(row.lever_a * impulse for row, impulse in parts)
-    angular_b = sum(row.lever_b * impulse for row, impulse in parts)
+    on_b = jnp.asarray(sum(row.direction * impulse[:, None] for row, impulse in parts))
+    angular_a = jnp.asarray(sum(row.lever_a * impulse for row, impulse in parts))
+    angular_b = jnp.asarray(sum(row.lever_b * impulse for row, impulse in parts))
     return work_of_kinematic(bodies, pair, on_b, angular_a, angular_b)

@@ -71,8 +71,13 @@ def collide(
         if collide_one is circle_circle:
             points = jax.vmap(collide_pair)(one, other, d, relative_velocity, margin[a, b])
         else:
-            motion, axes = Motion(relative_velocity, spin, seconds, h), Motion(0, 0, None, None)
-            points = jax.vmap(collide_pair, in_axes=(0, 0, 0, axes, 0))(one, other, d, motion, margin[a, b])
+            # `seconds` and `h` are those of all pairs.
+            collide_moving = jax.vmap(
+                lambda one, other, d, velocity, spin, margin, collide_pair=collide_pair: collide_pair(
+                    one, other, d, Motion(velocity, spin, seconds, h), margin
+                )
+            )
+            points = collide_moving(one, other, d, relative_velocity, spin, margin[a, b])
         near = bounds_overlap(geometry, a, b, d, margin[a, b])
         points = points._replace(exists=points.exists & near[:, None])
         found.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), points))

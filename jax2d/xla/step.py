@@ -203,7 +203,7 @@ def soft_step(
             rules,
         )
         bounced, _ = bodies_of.limit_speeds(bounced, params.max_speed, params.max_angular_speed, ending)
-        if tally is not None:
+        if tally is not None and bounce_impulses is not None:  # both where contacts are reported, else neither
             tally = reports.add(tally, contacts)
             tally = reports.add_impulse(tally, contacts, bounce_impulses)
         # The impulse of a bounce does not last.
@@ -264,9 +264,9 @@ def _solve_passes(
     sharing: tuple[PlacedJoints, jax.Array] | None = None,
 ) -> Solved:
     """Passes with bias, or without: joints are not relaxed, since with bias they have the velocities that keep anchors
-    together. `only`: the bodies [n] that this is about. `turning`: their inverse inertias [n], with bias. sharing:
-    without bias, joints as the bodies stand, and [] bool whether they are solved all the same, since an island has
-    gained energy.
+    together. `only`: the bodies [n] that this is about. `turning`: their inverse inertias [n] with bias, by default
+    the bodies' own. sharing: without bias, joints as the bodies stand, and [] bool whether they are solved all the
+    same, since an island has gained energy.
 
     Joints, contacts, and joints again: so each has what the other answers. With bias, where a speed limit takes back
     what stops a body, the rest of it is solved again with all of its island: what is jointed keeps its spin at the
@@ -275,6 +275,7 @@ def _solve_passes(
     """
     bodies, joints, contacts = start
     use_bias = sharing is None
+    inverse_inertia = start.bodies.inverse_inertia if turning is None else turning
     jointed = marked(bodies, joints.pair, jnp.any(joints.pair.is_a, axis=-1))
     touching = islands.whole(jointed | marked(bodies, contacts.pair, contacts.key >= 0))
 
@@ -288,7 +289,7 @@ def _solve_passes(
             shared = joints_of.solve_soft(now.bodies, now.joints, standing, params, now.active, use_bias=False)
             bodies, joints, moved = choose(has_gained, shared, (bodies, joints, moved))
         else:
-            now = _with_inertia(now, jnp.where(now.held, 0, turning))
+            now = _with_inertia(now, jnp.where(now.held, 0, inverse_inertia))
             standing = joints_of.place(now.bodies, now.joints)
             bodies, joints, moved = joints_of.solve_soft(
                 now.bodies, now.joints, standing, params, now.active, use_bias=True
@@ -407,7 +408,7 @@ def paper_step(
     bodies = paper.apply_motors(bodies, joints, params)
     bodies = forces.apply(bodies, forces.load(bodies, scene, controls, params), params.dt)
     bodies, contacts = contact_solver.warm_start(bodies, contacts)
-    *recorded, tally = _nothing_recorded(capacity, bodies, rules)
+    touch, overflow, velocities, max_energy, tally = _nothing_recorded(capacity, bodies, rules)
     if tally is not None:
         tally = reports.warm_start(reports.begin(tally, contacts))
     bodies, joints = paper.warm_start(bodies, joints)
@@ -422,7 +423,9 @@ def paper_step(
     bodies = bodies_of.move(bodies, params.dt, params.max_speed, params.max_angular_speed)
     if tally is not None:
         tally = reports.add(tally, contacts)
-    progress = _finish_contacts(Progress(bodies, joints, contacts, cache, *recorded, tally))
+    progress = _finish_contacts(
+        Progress(bodies, joints, contacts, cache, touch, overflow, velocities, max_energy, tally)
+    )
     return progress._replace(overflow=contacts.overflow)
 
 

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from typing import overload
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 
 def dot(a: jax.Array, b: jax.Array) -> jax.Array:
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
 
 
-def cross(a: jax.Array, b: jax.Array) -> jax.Array:
+@overload
+def cross(a: jax.Array, b: jax.Array) -> jax.Array: ...
+@overload
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray: ...
+def cross(a: jax.Array | np.ndarray, b: jax.Array | np.ndarray) -> jax.Array | np.ndarray:
+    """Returns an array of the kind that it gets: builders and rules of scenes work on numpy's float64."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 

@@ -34,16 +34,19 @@ from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy, n
 
 PAPER_EPOCHS = 8
 
+Size = Literal["s", "m", "l"]
+Network = Literal["transformer", "transformer_lean", "flat"]
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options(BenchmarkOptions):
     """Milliseconds of a PPO gradient step, on made-up observations."""
 
-    size: Literal["s", "m", "l"] = "m"
+    size: Size = "m"
     """Level size."""
     dtype: Literal["float32", "bfloat16"] = "bfloat16"
     """Type of activations."""
-    network: Literal["transformer", "transformer_lean", "flat"] = "transformer"
+    network: Network = "transformer"
     """Policy network."""
     kernels: Literal["auto", "xla", "fused"] = "xla"
     """Kernels of the layers, see policy.kernels."""

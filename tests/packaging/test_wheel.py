@@ -38,8 +38,10 @@ def test_the_wheel_has_every_file_of_the_packages_and_the_data() -> None:
     }
     assert in_wheel == packages | data
     assert {
+        "jax2d/py.typed",
         "jax2d/warp/native/step.h",
         "jax2d/fidelity/references.json",
+        "kinetix_dist/py.typed",
         "kinetix_dist/telemetry/rollout.proto",
         "kinetix_dist/data/levels/sets.toml",
         "kinetix_dist/data/levels/s/hop_home.json",

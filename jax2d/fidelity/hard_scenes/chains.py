@@ -5,18 +5,17 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
-from jax2d.builder import Point
+from jax2d.builder_checks import Points
 from jax2d.fidelity.hard_scenes.scene import Check, HardScene, HardSceneBuilder, widest_gap
 from jax2d.fidelity.trajectory import Trajectory
 
 # Bridges and chains
 
 
-def _planks(b: HardSceneBuilder, corners: Sequence[Point]) -> None:
+def _planks(b: HardSceneBuilder, corners: Points) -> None:
     """Planks of 1 m from corner to corner, hinged to each other and to a fixed block at either end."""
     last = b.box(corners[0][0] - 0.5, corners[0][1], height=0.25, fixed=True)
     for (x0, y0), (x1, y1) in itertools.pairwise(corners):

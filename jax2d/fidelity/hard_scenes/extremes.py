@@ -13,7 +13,7 @@ def huge_ground() -> HardScene:
     for x in (0.3, 4000.3):
         for k in range(5):
             b.box(x, 0.5 + k)
-    return b.scene("ground of 10 km", lambda trajectory: [Check("drifts, m", trajectory.drift(), 0.05)])
+    return b.scene("ground of 10 km", lambda trajectory: [Check("drifts, m", float(trajectory.drift()), 0.05)])
 
 
 def thin_shapes() -> HardScene:

@@ -29,9 +29,9 @@ def four_bar() -> HardScene:
     )
 
     def bar(start: Point, end: Point) -> int:
-        start, end = np.asarray(start), np.asarray(end)
-        run = end - start
-        middle = (start + end) / 2
+        first, last = np.asarray(start), np.asarray(end)
+        run = last - first
+        middle = (first + last) / 2
         return b.box(*middle, width=float(np.hypot(*run)), height=0.1, angle=math.atan2(run[1], run[0]))
 
     crank, coupler, rocker = bar((0, 0), crank_end), bar(crank_end, meet), bar((1.1, 0), meet)
@@ -196,7 +196,7 @@ def press(density: float) -> HardScene:
     def checks(trajectory: Trajectory) -> list[Check]:
         late = trajectory.index_at(5.0)
         return [
-            Check("overlap, m", trajectory.depth(), 0.01),
+            Check("overlap, m", float(trajectory.depth()), 0.01),
             Check("box leaves, m", np.abs(trajectory.position[:, box, 1]).max(), 0.3),
             Check("moves at, m/s", trajectory.speed()[late:].max(), 0.05),
         ]

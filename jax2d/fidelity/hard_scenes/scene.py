@@ -18,7 +18,7 @@ from typing import NamedTuple, Unpack
 import numpy as np
 
 from jax2d.builder import BuiltWorld, SceneBuilder
-from jax2d.builder_checks import Point
+from jax2d.builder_checks import Point, Points
 from jax2d.builder_options import BodyKeywords, PrismaticKeywords, RevoluteKeywords
 from jax2d.fidelity.trajectory import Trajectory
 from jax2d.scene import Capacity
@@ -71,7 +71,7 @@ class HardSceneBuilder:
         options.setdefault("friction", self.mu)
         return self.builder.add_circle(radius=radius, position=self.point(x, y), **options)
 
-    def polygon(self, points: Sequence[Point], **options: Unpack[BodyKeywords]) -> int:
+    def polygon(self, points: Points, **options: Unpack[BodyKeywords]) -> int:
         options.setdefault("friction", self.mu)
         return self.builder.add_polygon(points, position=self.point(0, 0), **options)
 

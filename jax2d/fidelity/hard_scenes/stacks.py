@@ -31,7 +31,7 @@ def stack(count: int, at: Point = (0.0, 0.0)) -> HardScene:
     for i in range(count):
         b.box(0, 0.5 + i)
     far = f" {max(at):g} m away" if any(at) else ""
-    return b.scene(f"stack of {count}{far}", lambda trajectory: [Check("drifts, m", trajectory.drift(), 0.05)])
+    return b.scene(f"stack of {count}{far}", lambda trajectory: [Check("drifts, m", float(trajectory.drift()), 0.05)])
 
 
 def circle_stack() -> HardScene:
@@ -56,7 +56,7 @@ def pyramid(rows: int = 10, size: float = 1.0, at: Point = (0.0, 0.0)) -> HardSc
     def checks(trajectory: Trajectory) -> list[Check]:
         return [
             Check("top drops, m", drop(trajectory, top), 0.1 * size),
-            Check("overlap, m", trajectory.depth(), 2 * SLOP_M * size),
+            Check("overlap, m", float(trajectory.depth()), 2 * SLOP_M * size),
         ]
 
     small = f" of {size:g} m" if size != 1.0 else ""
@@ -127,7 +127,7 @@ def coincident_centres() -> HardScene:
 
     def checks(trajectory: Trajectory) -> list[Check]:
         return [
-            Check("overlap after 2 s, m", trajectory.depth(trajectory.index_at(2.0)), 2 * SLOP_M),
+            Check("overlap after 2 s, m", float(trajectory.depth(trajectory.index_at(2.0))), 2 * SLOP_M),
             Check("fastest, m/s", trajectory.speed().max(), 5.0),
         ]
 
