@@ -136,7 +136,7 @@ class Smoke:
         return read_lines(self.run / "metrics" / "metrics.jsonl").rows
 
 
-def _end(process: subprocess.Popen[bytes]) -> bool:
+def _end(process: subprocess.Popen[Any]) -> bool:
     """Ends a command that goes on, with all that it started. Whether it had to."""
     if process.poll() is not None:
         return False

@@ -63,7 +63,7 @@ def not_negative(name: str, value: float) -> float:
     return checked
 
 
-def flag(name: str, value: bool) -> bool:
+def flag(name: str, value: bool | np.bool_) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise SceneError(f"{name} is {value!r}; it must be True or False")
     return bool(value)

@@ -17,6 +17,8 @@ import dataclasses
 import difflib
 from typing import Any, NamedTuple, TypedDict
 
+import numpy as np
+
 from jax2d.builder_checks import (
     LARGEST,
     Point,
@@ -61,8 +63,8 @@ class BodyKeywords(MaterialKeywords, total=False):
     angle: float
     velocity: Point
     angular_velocity: float
-    fixed: bool
-    kinematic: bool
+    fixed: bool | np.bool_
+    kinematic: bool | np.bool_
 
 
 POSE_AND_MOTION = tuple(name for name in BodyKeywords.__annotations__ if name not in MaterialKeywords.__annotations__)
@@ -77,8 +79,8 @@ class BodyOptions:
     velocity: Point = (0.0, 0.0)  # m/s, of the centre of mass
     angular_velocity: float = 0.0  # rad/s
     density: float = 1.0  # kg/m^2
-    fixed: bool = False  # it has no mass and never moves
-    kinematic: bool = False  # it has no mass and moves as its velocity says; nothing pushes it
+    fixed: bool | np.bool_ = False  # it has no mass and never moves
+    kinematic: bool | np.bool_ = False  # it has no mass and moves as its velocity says; nothing pushes it
     friction: float | None = None  # share of settings.base_friction, 1 unless given
     friction_coefficient: float | None = None  # in its place: two shapes of mu have mu, with the presets' settings
     restitution: float = 0.0  # 0 to 1, the lower of two counts
@@ -145,7 +147,7 @@ def body_of(area: float, second_moment: float, options: BodyOptions, capacity: C
     shape = {
         "inverse_mass": 1.0 / mass if has_mass else 0.0,
         "inverse_inertia": 1.0 / inertia if has_mass else 0.0,
-        "kinematic": o.kinematic,
+        "kinematic": bool(o.kinematic),
         "density": density,
         "friction": _friction(o, settings),
         "restitution": restitution,

@@ -93,3 +93,9 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
+
+
+def present(value: Result | None) -> Result:
+    """Return a value that may be None in general, and is not where a test reads it."""
+    assert value is not None
+    return value

@@ -35,6 +35,11 @@ def curriculum_of(
     return curriculum_class(config, worlds_per_group)(made)
 
 
+def stand_in(numbers: Any) -> Any:
+    """Return numbers that stand for levels: what is tested here never looks inside one."""
+    return numbers
+
+
 def played(levels: jax.Array, key: jax.Array, num_episodes: int) -> LevelOutcome:
     """Outcome of levels that are the chances with which the policy solves them, as its value function says."""
     solved = jax.random.uniform(key, (num_episodes, levels.size)) < levels

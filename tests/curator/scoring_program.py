@@ -49,7 +49,7 @@ def main() -> None:
         curriculum.tools = dataclasses.replace(curriculum.tools, devices=jax.devices()[:num_devices])
         parts = [curriculum.refresh_part(params, 5, jax.random.key(3), part, num_parts) for part in range(num_parts)]
         buffers[count] = curriculum.join(parts)
-    np.savez(out, **flatten_arrays(buffers))
+    np.savez(out, allow_pickle=False, **flatten_arrays(buffers))
 
 
 if __name__ == "__main__":

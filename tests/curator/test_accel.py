@@ -1,5 +1,7 @@
 """ACCEL's preferences on levels of known difficulty: a level is the chance that the policy solves it."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +13,7 @@ from kinetix_dist.curator.curriculum import CurriculumTools
 from kinetix_dist.curator.replay_buffer import empty_buffer
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.level import SIZES
-from tests.curator.made import curriculum_of, played
+from tests.curator.made import curriculum_of, played, stand_in
 
 GROUPS, PER_GROUP, EPISODES, PLACES = 4, 8, 8, 24
 EASIEST_HARD = 0.6  # fresh levels are solved more often than this
@@ -20,11 +22,11 @@ EASIEST_HARD = 0.6  # fresh levels are solved more often than this
 class _Tools(CurriculumTools):
     """Fresh levels are easy; a child is solved somewhat more or less often than its parent."""
 
-    def draw_fresh(self, group_keys, levels_per_group):
+    def draw_fresh(self, group_keys, levels_per_group) -> Any:
         draw = jax.vmap(lambda key: jax.random.uniform(key, (levels_per_group,), minval=EASIEST_HARD))
         return draw(group_keys).reshape(-1)
 
-    def edit(self, keys, levels):
+    def edit(self, keys, levels) -> Any:
         return jnp.clip(levels + jax.vmap(lambda key: jax.random.uniform(key, minval=-0.1, maxval=0.1))(keys), 0, 1)
 
 
@@ -48,7 +50,7 @@ def _run(curriculum, num_updates):
         outcome = played(proposal.levels, key, EPISODES)
         return curriculum.observe(state, proposal, outcome), proposal
 
-    state, proposals = empty_buffer(jnp.zeros(()), PLACES), []
+    state, proposals = empty_buffer(stand_in(jnp.zeros(())), PLACES), []
     for number in range(num_updates):
         state, proposal = update(state, number)
         proposals.append(np.asarray(proposal.levels).reshape(GROUPS, PER_GROUP))
@@ -85,13 +87,13 @@ def test_no_fresh_level_is_drawn_that_is_not_played():
     requested = []
 
     class Counting(_Tools):
-        def draw_fresh(self, group_keys, levels_per_group):
+        def draw_fresh(self, group_keys, levels_per_group) -> Any:
             requested.append(levels_per_group)
             return super().draw_fresh(group_keys, levels_per_group)
 
     config = CurriculumConfig(name="accel", plr=PlrConfig(score="failure"), accel=AccelConfig(edited_share=0.5))
     curriculum = curriculum_of(config, PER_GROUP, Counting, solves_itself=lambda levels: levels > 2.0)
-    _propose(curriculum, empty_buffer(jnp.zeros(()), PLACES), 0)
+    _propose(curriculum, empty_buffer(stand_in(jnp.zeros(())), PLACES), 0)
     assert requested == [PER_GROUP // 4]
 
 

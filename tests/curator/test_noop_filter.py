@@ -1,6 +1,7 @@
 """The filter of levels that solve themselves, and the setting that switches it off."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import pytest
 
 from kinetix_dist.config.train_config import differences, numbers_of
 from kinetix_dist.curator import fresh_levels as module
+from kinetix_dist.curator.accel import Accel
 from kinetix_dist.curator.config import AccelConfig, CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import CurriculumTools
@@ -16,7 +18,7 @@ from kinetix_dist.curator.fresh_levels import fresh_levels
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.recipes import recipe
-from tests.curator.made import curriculum_of
+from tests.curator.made import curriculum_of, stand_in
 
 GROUPS, PER_GROUP = 3, 4
 KEYS = jax.random.split(jax.random.key(5), GROUPS)
@@ -52,7 +54,9 @@ def test_without_the_filter_all_that_are_drawn_are_kept():
 @pytest.mark.parametrize(("is_on", "expected"), [(True, [1, 2, 4, 5]), (False, [0, 1, 2, 3])])
 def test_the_setting_switches_it(is_on, expected):
     config = CurriculumConfig(name="domain_randomization", filter_noop=is_on)
-    given = {"solves_itself": lambda levels: levels % 3 == 0} if is_on else {}  # where it is off, asking it fails
+    given: dict[str, Any] = (
+        {"solves_itself": lambda levels: levels % 3 == 0} if is_on else {}
+    )  # where it is off, asking it fails
     curriculum = curriculum_of(config, PER_GROUP, capacity=SIZES["s"], **given)
     proposed = curriculum.tools.draw_fresh(KEYS, PER_GROUP)
     assert np.asarray(proposed).reshape(GROUPS, PER_GROUP).tolist() == [expected] * GROUPS
@@ -68,15 +72,17 @@ def test_children_of_accel_are_filtered_alike(is_on, expected):
 
     curriculum = curriculum_of(config, 8, Tools, solves_itself=lambda levels: levels % 2 == 0)
     replayed, fresh = jnp.arange(4.0)[None].repeat(GROUPS, 0), jnp.full((GROUPS, 2), 9.0)
-    new = curriculum.new_levels(KEYS, replayed, fresh)
+    assert isinstance(curriculum, Accel)
+    new = curriculum.new_levels(KEYS, stand_in(replayed), stand_in(fresh))
     assert np.asarray(new).tolist() == [[*expected, 9.0, 9.0]] * GROUPS
 
 
 def test_it_is_on_unless_it_is_switched_off():
+    wrong: Any = 1
     assert CurriculumConfig().filter_noop
     assert curriculum_class(CurriculumConfig(name="sfl", filter_noop=False), PER_GROUP)
     with pytest.raises(ValueError, match="filter_noop"):
-        CurriculumConfig(filter_noop=1)
+        CurriculumConfig(filter_noop=wrong)
     with pytest.raises(ValueError, match="curriculum 'paired' draws no random levels, of which any would be filtered"):
         curriculum_class(CurriculumConfig(name="paired", filter_noop=False), PER_GROUP)
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -39,15 +40,16 @@ class _Scripted:
 class _Agents(PpoAgents):
     """The teacher is that of a run, with its PPO."""
 
-    def student(self):
+    def student(self) -> Any:
         return _Scripted()
 
-    def static_input(self, levels):
+    def static_input(self, levels) -> Any:
         return None
 
 
 def _paired(**paired):
-    agents = _Agents(tiny_config(num_updates=1), None, None, data_mesh())
+    none: Any = None  # no environment and no policy
+    agents = _Agents(tiny_config(num_updates=1), none, none, data_mesh())
     config = CurriculumConfig(name="paired", paired=PairedConfig(hidden_size=32, **paired))
     return curriculum_of(config, PER_GROUP, capacity=CAPACITY, agents=agents)
 

@@ -1,6 +1,7 @@
 """PLR's preferences on levels of known difficulty: a level is the chance that the policy solves it."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from kinetix_dist.curator.config import CurriculumConfig, PlrConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import CurriculumTools
 from kinetix_dist.curator.replay_buffer import empty_buffer
-from tests.curator.made import curriculum_of, played
+from tests.curator.made import curriculum_of, played, stand_in
 
 GROUPS, PER_GROUP, EPISODES, PLACES = 4, 8, 8, 24
 
@@ -19,7 +20,7 @@ GROUPS, PER_GROUP, EPISODES, PLACES = 4, 8, 8, 24
 class _Tools(CurriculumTools):
     """Fresh levels are solved with a chance that is uniform in [0, 1]."""
 
-    def draw_fresh(self, group_keys, levels_per_group):
+    def draw_fresh(self, group_keys, levels_per_group) -> Any:
         return jax.vmap(lambda key: jax.random.uniform(key, (levels_per_group,)))(group_keys).reshape(-1)
 
 
@@ -35,7 +36,7 @@ class _Training:
         self.curriculum = _curriculum(**plr)
         self.propose = jax.jit(self._propose)
         self.observe = jax.jit(self._observe)
-        self.empty = empty_buffer(jnp.zeros(()), PLACES)
+        self.empty = empty_buffer(stand_in(jnp.zeros(())), PLACES)
 
     def run(self, num_updates):
         """(state, levels of the buffer that the last quarter of the updates played)."""

@@ -17,6 +17,7 @@ from kinetix_dist.curator.replay_buffer import (
     taken_in,
     with_returns,
 )
+from tests.curator.made import stand_in
 
 
 def _buffer(score, *, last_played=None, born=None, num_updates=10):
@@ -24,7 +25,7 @@ def _buffer(score, *, last_played=None, born=None, num_updates=10):
     score = jnp.asarray(score, jnp.float32)
     zeros = jnp.zeros(score.size, jnp.int32)
     return ReplayBuffer(
-        levels=100 + jnp.arange(score.size),
+        levels=stand_in(100 + jnp.arange(score.size)),
         score=score,
         best_return=score,
         born=jnp.where(score > UNKNOWN, 0, NEVER) if born is None else jnp.asarray(born),
@@ -57,7 +58,7 @@ def test_staleness_is_the_share_of_draws_by_how_long_ago_a_level_was_played():
 def test_empty_places_are_never_drawn(config):
     chances = replay_chances(_buffer([UNKNOWN, 0.0, UNKNOWN]), config)
     np.testing.assert_allclose(chances, [0.0, 1.0, 0.0])
-    assert not replay_chances(empty_buffer(jnp.zeros(()), 4), config).any()
+    assert not replay_chances(empty_buffer(stand_in(jnp.zeros(())), 4), config).any()
 
 
 def test_a_level_gets_the_mean_score_of_the_worlds_that_played_it():
@@ -88,7 +89,7 @@ def test_means_by_place_are_those_of_numpy():
 def test_the_best_new_levels_take_empty_places_and_then_those_least_likely_to_be_played():
     config = PlrConfig(staleness=0.0)
     buffer = _buffer([0.5, UNKNOWN, 0.1, 0.3])
-    levels, is_new = jnp.arange(5), jnp.array([True, True, True, True, False])
+    levels, is_new = stand_in(jnp.arange(5)), jnp.array([True, True, True, True, False])
     after = taken_in(buffer, levels, jnp.array([0.2, 0.6, 0.4, 0.05, 0.9]), jnp.arange(5.0), is_new, config)
     # 0.6 -> the empty slot; 0.4 > 0.1; 0.2 < 0.3 stays out, as does what is not new
     np.testing.assert_array_equal(after.levels, [100, 1, 2, 103])
@@ -99,14 +100,16 @@ def test_the_best_new_levels_take_empty_places_and_then_those_least_likely_to_be
 
 def test_a_level_that_nobody_played_for_long_is_likely_and_keeps_its_place():
     buffer = _buffer([0.1, 0.2], last_played=[0, 9])
-    after = taken_in(buffer, jnp.arange(1), jnp.array([0.3]), jnp.zeros(1), jnp.array([True]), PlrConfig(staleness=0.9))
+    after = taken_in(
+        buffer, stand_in(jnp.arange(1)), jnp.array([0.3]), jnp.zeros(1), jnp.array([True]), PlrConfig(staleness=0.9)
+    )
     np.testing.assert_array_equal(after.levels, [100, 0])  # chances: .9 x 10/11 for the old one
 
 
 def test_new_levels_of_which_nothing_is_known_take_no_slot():
-    buffer = empty_buffer(jnp.zeros((), jnp.int32), 3)
+    buffer = empty_buffer(stand_in(jnp.zeros((), jnp.int32)), 3)
     score = jnp.array([UNKNOWN, jnp.nan])
-    after = taken_in(buffer, jnp.arange(2), score, score, jnp.ones(2, bool), PlrConfig())
+    after = taken_in(buffer, stand_in(jnp.arange(2)), score, score, jnp.ones(2, bool), PlrConfig())
     assert not after.is_filled.any()
     assert after.score.max() == UNKNOWN
 

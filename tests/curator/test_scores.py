@@ -8,6 +8,7 @@ import pytest
 
 from kinetix_dist.curator.level_buffer import Candidates, buffer_metrics, keep_best, scored
 from kinetix_dist.curator.scores import exact_keys, learnability, learnability_now, solve_rate
+from tests.curator.made import stand_in
 
 
 def test_a_level_that_is_never_or_always_solved_teaches_nothing():
@@ -27,14 +28,14 @@ def _scored(candidate, solved, finished, size=4):
     """A level is its number."""
     counts = np.asarray(solved)[candidate], np.asarray(finished)[candidate]
     candidates = Candidates(candidate, *counts, np.stack([candidate], axis=1).astype(np.uint8))
-    return scored(candidates, lambda index: {"number": candidate[index]}, size=size, policy_version=7)
+    return scored(candidates, lambda index: stand_in(candidate[index]), size=size, policy_version=7)
 
 
 def test_the_most_learnable_are_kept_and_ties_prefer_the_higher_solve_rate():
     buffer = keep_best([_scored(np.arange(6), [0, 1, 3, 2, 4, 1], [4, 4, 4, 4, 4, 4])], 4)
     # scores 0, 3/16, 3/16, 4/16, 0, 3/16: first the half-solved, then 3 of 4 before 1 of 4, then the lower number
     np.testing.assert_array_equal(buffer.candidate, [3, 2, 1, 5])
-    np.testing.assert_array_equal(buffer.levels["number"], [3, 2, 1, 5])
+    np.testing.assert_array_equal(buffer.levels, [3, 2, 1, 5])
     assert int(buffer.policy_version) == 7
     metrics = buffer_metrics(buffer, 10)
     assert metrics["curriculum/buffer_age"] == 3
@@ -52,7 +53,7 @@ def test_the_same_are_kept_however_candidates_are_shared_out(num_parts):
     assert all(len(part.best) == min(12, len(part.candidate)) for part in parts)
     one, several = keep_best([_scored(np.arange(40), solved, finished, size=12)], 12), keep_best(parts, 12)
     jax.tree.map(np.testing.assert_array_equal, several, one)
-    np.testing.assert_array_equal(one.levels["number"], one.candidate)
+    np.testing.assert_array_equal(one.levels, one.candidate)
     # By exact fractions, sorted by Python.
     p = [Fraction(int(s), max(int(f), 1)) for s, f in zip(solved, finished, strict=True)]
     order = sorted(range(40), key=lambda number: (-p[number] * (1 - p[number]), -p[number], number))

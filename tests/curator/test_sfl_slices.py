@@ -1,6 +1,7 @@
 """Proposals, scores and buffer of `sfl_slices` on levels that are the chance with which the policy solves them."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ CONFIG = CurriculumConfig(
 
 
 class _Tools(CurriculumTools):
-    def draw_fresh(self, group_keys, levels_per_group):
+    def draw_fresh(self, group_keys, levels_per_group) -> Any:
         return jax.vmap(lambda key: jax.random.uniform(key, (levels_per_group,)))(group_keys).reshape(-1)
 
 
@@ -38,6 +39,7 @@ def curriculum():
 
     made = curriculum_of(CONFIG, PER_GROUP, _Tools, play=play)
     # Levels are numbers here: they have no features.
+    assert isinstance(made, SflSlices)
     made._features = jax.jit(lambda levels: jnp.zeros((len(levels), 1), jnp.uint8))
     return made
 

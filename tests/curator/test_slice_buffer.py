@@ -23,6 +23,7 @@ from kinetix_dist.curator.slice_buffer import (
     slice_metrics,
     with_slice,
 )
+from tests.curator.made import stand_in
 
 CONFIG = SlicesConfig(slice_size=2, window=4, num_harvested=3)
 
@@ -30,7 +31,7 @@ CONFIG = SlicesConfig(slice_size=2, window=4, num_harvested=3)
 def _chosen(levels, version=0):
     count = np.ones(len(levels), np.int32)
     return LevelBuffer(
-        levels=np.asarray(levels),
+        levels=stand_in(np.asarray(levels)),
         candidate=count,
         score=count.astype(np.float32),
         num_solved=count,
@@ -79,12 +80,12 @@ def test_a_play_of_a_level_that_is_not_there_any_more_does_not_count(buffer):
 
 def test_levels_that_left_are_not_drawn_and_go_first_then_the_oldest(buffer):
     newer = with_slice(buffer, _chosen([20, 21], 8))  # nothing left: the oldest, of equals the first
-    assert newer.levels.tolist() == [20, 21, 12, 13, 14]
+    assert np.asarray(newer.levels).tolist() == [20, 21, 12, 13, 14]
     left = _after(newer, [(1, 1)] * 4 + [(3, 0)] * 4 + [(2, 1)])
     drawn = draw_slots(jax.random.key(0), left, 256)
     assert set(np.asarray(drawn).tolist()) == {0, 2, 4}
     last = with_slice(left, _chosen([30, 31], 16))
-    assert last.levels.tolist() == [20, 31, 12, 30, 14]
+    assert np.asarray(last.levels).tolist() == [20, 31, 12, 30, 14]
     assert last.status.tolist() == [IN_USE] * 5 and last.num_plays.tolist() == [0, 0, 1, 0, 0]
     assert last.policy_version.tolist() == [8, 16, 0, 16, 0]
     metrics = slice_metrics(last, 20)
@@ -99,8 +100,8 @@ def test_where_every_level_has_left_all_are_drawn(buffer):
 
 
 def test_the_newest_solved_levels_are_candidates():
-    harvest = Harvest(levels=jnp.zeros(3), solved_at=jnp.full(3, NEVER))
-    harvest = harvested(harvest, jnp.array([1.0, 2.0, 3.0]), jnp.array([True, False, True]), jnp.int32(0))
-    assert harvest.levels.tolist()[:2] == [1.0, 3.0] and harvest.solved_at.tolist() == [0, 0, NEVER]
-    harvest = harvested(harvest, jnp.array([4.0, 5.0, 6.0]), jnp.array([False, True, True]), jnp.int32(1))
-    assert harvest.levels.tolist() == [5.0, 6.0, 1.0] and harvest.solved_at.tolist() == [1, 1, 0]
+    harvest = Harvest(levels=stand_in(jnp.zeros(3)), solved_at=jnp.full(3, NEVER))
+    harvest = harvested(harvest, stand_in(jnp.array([1.0, 2.0, 3.0])), jnp.array([True, False, True]), jnp.int32(0))
+    assert np.asarray(harvest.levels).tolist()[:2] == [1.0, 3.0] and harvest.solved_at.tolist() == [0, 0, NEVER]
+    harvest = harvested(harvest, stand_in(jnp.array([4.0, 5.0, 6.0])), jnp.array([False, True, True]), jnp.int32(1))
+    assert np.asarray(harvest.levels).tolist() == [5.0, 6.0, 1.0] and harvest.solved_at.tolist() == [1, 1, 0]

@@ -16,6 +16,7 @@ import numpy as np
 from jax import export
 
 from jax2d import Capacity, Engine, SceneBuilder, effects_of, stack_worlds
+from jax2d.engine import PackedScene
 from jax2d.warp import ffi
 
 CAPACITY = Capacity(polygons=2, circles=2, joints=1, thrusters=0)
@@ -46,7 +47,7 @@ def packed(one: Engine) -> tuple:
     return one.pack_scene(scenes), one.pack_state(states)
 
 
-def step(one: Engine, scene: ffi.SceneTables, state: ffi.StateTables) -> ffi.StateTables:
+def step(one: Engine, scene: PackedScene, state: ffi.StateTables) -> ffi.StateTables:
     """Three steps of physics."""
     return one.step_packed(scene, state, one.no_controls(NUM_WORLDS), num_steps=3)[0]
 

@@ -8,8 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
+from PIL.GifImagePlugin import GifImageFile
 
 from jax2d import Capacity, SceneBuilder
+from jax2d.builder_options import BodyKeywords
 from jax2d.display_list import belt_arrows, shape_colours
 from jax2d.draw import draw
 from jax2d.images import film_strip, write_gif, write_png
@@ -106,7 +108,7 @@ def test_gif_shows_every_picture_for_its_time(tmp_path: Path) -> None:
     images = [np.full((8, 12, 3), (40 * k, 0, 200), np.uint8) for k in range(5)]
     write_gif(tmp_path / "a.gif", images, seconds=[1 / 30] * 4 + [1.0])
     with Image.open(tmp_path / "a.gif") as gif:
-        assert gif.n_frames == 5
+        assert isinstance(gif, GifImageFile) and gif.n_frames == 5
         durations = []
         for k, frame in enumerate(ImageSequence.Iterator(gif)):
             durations.append(frame.info["duration"])
@@ -134,7 +136,8 @@ def test_rectangles_of_the_test_world_are_counter_clockwise() -> None:
 def test_belts_have_arrows_where_they_go_and_kinematic_shapes_a_shade_of_their_own():
     capacity = Capacity(polygons=3, circles=1, joints=0, thrusters=0, extended_shapes=True)
     b = SceneBuilder(capacity)
-    shades = [b.add_box(width=1, height=0.4, **state) for state in ({}, {"kinematic": True}, {"fixed": True})]
+    states: list[BodyKeywords] = [{}, {"kinematic": True}, {"fixed": True}]
+    shades = [b.add_box(width=1, height=0.4, **state) for state in states]
     belt = b.add_circle(radius=0.5, fixed=True, surface_speed=-2.0)
     scene = b.build().scene
     free, kinematic, fixed = shape_colours(scene)[shades, 0]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
+from jax2d.builder_options import BodyKeywords, MaterialKeywords
 from jax2d.fidelity import Trajectory, record_worlds
 
 pytestmark = pytest.mark.also_gpu
@@ -29,12 +30,13 @@ def half_step_energy(t: Trajectory, substep: float) -> np.ndarray:
 def closed_box(rng: np.random.Generator, restitution: float) -> BuiltWorld:
     """Bodies of all kinds in the cells of a grid, thrown about in a box of 6 m x 6 m."""
     b = SceneBuilder(CLOSED, gravity=(0, -GRAVITY))
-    options = {"restitution": restitution, "friction": rng.choice([0.0, 0.5, 2.0])}
+    options: MaterialKeywords = {"restitution": restitution, "friction": rng.choice([0.0, 0.5, 2.0])}
     for x, y in ((0, -3.5), (-3.5, 0), (3.5, 0), (0, 3.5)):
         b.add_box(width=8 if y else 1, height=8 if x else 1, position=(x, y), fixed=True, **options)
     cells = rng.permutation([(x, y) for x in (-2, -1, 0, 1, 2) for y in (-2, -1, 0, 1, 2)])
     for k, cell in enumerate(cells[:12]):
-        moving = options | {
+        moving: BodyKeywords = {
+            **options,
             "position": cell,
             "angle": rng.uniform(0, 3),
             "density": 10 ** rng.uniform(-1, 1),

@@ -23,6 +23,7 @@ from jax2d import (
     measure,
     preset,
 )
+from jax2d.builder_options import BodyKeywords, MaterialKeywords
 from jax2d.effects import EXTENDED
 from jax2d.fidelity import Trajectory, record
 from jax2d.warp.memory import table_bytes
@@ -129,10 +130,13 @@ def test_fall_ends_at_g_over_damping_however_stiff(damping: float):
 def test_rolling_disc_stops_after_three_quarters_of_v_squared_over_c_g(of_the_disc: bool):
     """m v' = -F, I w' = F r - c N r: both together (m + m / 2) v' = -c m g."""
     share, speed, radius = 0.1, 2.0, 0.3
-    shares = ({"rolling_resistance": share}, {"rolling_resistance": share / 3})  # the larger one counts
+    shares: tuple[MaterialKeywords, ...] = (
+        {"rolling_resistance": share},
+        {"rolling_resistance": share / 3},
+    )  # the larger one counts
     b = builder()
     floor(b, **shares[of_the_disc])
-    options = {"velocity": (speed, 0), "angular_velocity": -speed / radius, **shares[not of_the_disc]}
+    options: BodyKeywords = {"velocity": (speed, 0), "angular_velocity": -speed / radius, **shares[not of_the_disc]}
     disc = b.add_circle(radius=radius, position=(0, radius), **options)
     path = follow(b.build(), 3.5)
     assert path.position[-1, disc, 0] == pytest.approx(3 * speed**2 / (4 * share * G), rel=0.01)
@@ -274,11 +278,12 @@ def test_what_is_missing_or_makes_no_sense_is_refused():
     with pytest.raises(ValueError, match="extended_shapes is 1; it must be True or False"):
         Capacity(polygons=1, circles=0, joints=0, thrusters=0, extended_shapes=1)  # type: ignore[arg-type]
     b = builder()
-    for options, said in (
+    refused: tuple[tuple[BodyKeywords, str], ...] = (
         ({"linear_damping": -1.0}, "linear_damping is -1; it must be 0 or more"),
         ({"rolling_resistance": math.nan}, "rolling_resistance is nan; give a finite number"),
         ({"angular_damping": 1.0, "fixed": True}, "angular_damping of a shape that is fixed or kinematic"),
-    ):
+    )
+    for options, said in refused:
         with pytest.raises(SceneError, match=said):
             b.add_circle(radius=1, **options)
     damping = world.scene.shapes.linear_damping.copy()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
+from jax2d.builder_options import BodyKeywords, RevoluteKeywords
 from jax2d.fidelity import record_worlds
 from jax2d.fidelity.trajectory import start_of
 
@@ -26,9 +27,10 @@ def tangle(seed: int) -> BuiltWorld:
     shapes = []
     for i in range(int(rng.integers(3, 7))):
         width, height = 10 ** rng.uniform(-1.5, 0.3, 2)
-        options = {"position": tuple(rng.uniform(-2, 2, 2)), "density": 10 ** rng.uniform(-4, 4)}
+        options: BodyKeywords = {"position": tuple(rng.uniform(-2, 2, 2)), "density": 10 ** rng.uniform(-4, 4)}
         if i and rng.random() < 0.3:
-            options |= {"velocity": tuple(rng.uniform(-30, 30, 2)), "angular_velocity": rng.uniform(-49, 49)}
+            options["velocity"] = tuple(rng.uniform(-30, 30, 2))
+            options["angular_velocity"] = rng.uniform(-49, 49)
         shapes.append(b.add_box(width=width, height=height, angle=rng.uniform(-3, 3), fixed=i == 0, **options))
     for _ in range(int(rng.integers(0, 4))):
         at = tuple(rng.uniform(-2, 2, 2))
@@ -43,11 +45,11 @@ def tangle(seed: int) -> BuiltWorld:
         if rng.random() < 0.3:
             b.add_fixed_joint(*ends, at=at)
             continue
-        drive = {"motor_speed": rng.uniform(-2, 2), "motor_power": 10 ** rng.uniform(-2, 2)}
-        limits = {"limits": (-rng.uniform(0, 1), rng.uniform(0, 1))}
-        b.add_revolute_joint(
-            *ends, at=at, **(drive if rng.random() < 0.5 else {}), **(limits if rng.random() < 0.3 else {})
-        )
+        drive: RevoluteKeywords = {"motor_speed": rng.uniform(-2, 2), "motor_power": 10 ** rng.uniform(-2, 2)}
+        limits: RevoluteKeywords = {"limits": (-rng.uniform(0, 1), rng.uniform(0, 1))}
+        none: RevoluteKeywords = {}
+        motor, bounds = drive if rng.random() < 0.5 else none, limits if rng.random() < 0.3 else none
+        b.add_revolute_joint(*ends, at=at, **motor, **bounds)
     return b.build()
 
 

@@ -78,10 +78,15 @@ def controls_of(motor: float = 0.0, push: tuple[int, tuple[float, float], float]
 
 def joined(one: Trajectory, other: Trajectory) -> Trajectory:
     """One that goes on where the other ended, of what turns by less than half a turn in all."""
-    fields = ("position", "angle", "velocity", "angular_velocity")
-    samples = {name: np.concatenate([getattr(one, name), getattr(other, name)[1:]]) for name in fields}
     assert one.limited is not None and other.limited is not None
-    return dataclasses.replace(one, **samples, limited=np.concatenate([one.limited, other.limited]))
+    return dataclasses.replace(
+        one,
+        position=np.concatenate([one.position, other.position[1:]]),
+        angle=np.concatenate([one.angle, other.angle[1:]]),
+        velocity=np.concatenate([one.velocity, other.velocity[1:]]),
+        angular_velocity=np.concatenate([one.angular_velocity, other.angular_velocity[1:]]),
+        limited=np.concatenate([one.limited, other.limited]),
+    )
 
 
 def both(world: BuiltWorld, steps: int = CALL, **acts: Any) -> tuple[Motion, Motion]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def speeds_at_end(name: str, rows: list[tuple[BuiltWorld, list[int], np.ndarray]
     return [mirror * np.asarray(m.velocity)[-1, shapes, 0] for m, (_, shapes, _) in zip(records, rows)]
 
 
-def errors(name: str, **options: object) -> np.ndarray:
+def errors(name: str, **options: Any) -> np.ndarray:
     """[rows] largest error of a speed, in units of the largest there is."""
     rows = [row(seed, **options) for seed in range(NUM_ROWS)]
     return np.array(

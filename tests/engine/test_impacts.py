@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
+from jax2d.builder_options import RevoluteKeywords
 from jax2d.fidelity import Trajectory, record_worlds
 from tests.engine.oracle import rotation, sticking_impact
 
@@ -84,7 +85,7 @@ def error_of_landing(start: dict, m: Trajectory) -> tuple[float, float] | None:
     off = max(np.linalg.norm(velocities[hit] - after), abs(spins[hit] - turned) * math.sqrt(squared_radius))
     arm_now = rotation(angle[hit] - angle[hit - 1] - spin * moments[k]) @ arm
     rises = (velocities[hit] + spins[hit] * np.array([-arm_now[1], arm_now[0]]))[1]
-    return off / float(np.linalg.norm(velocity)), rises / closing
+    return float(off / np.linalg.norm(velocity)), rises / closing
 
 
 @pytest.mark.also_gpu
@@ -208,8 +209,8 @@ def pivoted_link(axis: str) -> BuiltWorld:
         width=RADIUS * math.sqrt(2), height=RADIUS * math.sqrt(2), angle=math.pi / 4, position=(REACH, side * half),
         velocity=(0, speed), friction=0, density=BOX_MASS / (2 * RADIUS**2),
     )  # fmt: skip
-    motor = {"speed": spin, "max_torque": 0.01} if axis == "motor" else {}
-    b.add_revolute_joint(pivot, link, at=(0, 0), **motor, **({"limits": limits} if limits else {}))
+    motor: RevoluteKeywords = {"speed": spin, "max_torque": 0.01} if axis == "motor" else {}
+    b.add_revolute_joint(pivot, link, at=(0, 0), limits=limits, **motor)
     b.keep_apart(pivot, link)
     return b.build()
 

@@ -363,13 +363,16 @@ def test_settings_of_another_kind_are_refused(settings: dict[str, Any], said: st
 def test_an_option_that_shapes_do_not_have_is_named():
     builder = SceneBuilder(Capacity(polygons=1, circles=1, joints=0, thrusters=0))
     with pytest.raises(SceneError, match=r"^a shape has no option resttitution; did you mean restitution\?$"):
-        builder.add_circle(radius=0.1, resttitution=0.5)
+        builder.add_circle(radius=0.1, resttitution=0.5)  # type: ignore[call-arg]
     with pytest.raises(SceneError, match=r"^a shape has no option colour; options are position, angle"):
-        builder.add_box(width=1, height=1, colour="red")
+        builder.add_box(width=1, height=1, colour="red")  # type: ignore[call-arg]
 
 
 def test_settings_take_numbers_of_numpy():
     assert Settings(dt=np.float64(1 / 60), substeps=np.int64(4)) == preset("standard")  # type: ignore[arg-type]
+
+
+ONE_OF_EACH: dict[str, Any] = {"polygons": 1, "circles": 1, "joints": 1, "thrusters": 1}
 
 
 @pytest.mark.parametrize(
@@ -384,7 +387,7 @@ def test_settings_take_numbers_of_numpy():
 )
 def test_capacities_of_no_whole_numbers_are_refused(sizes: dict[str, Any], said: str):
     with pytest.raises(ValueError, match=rf"^Capacity\.{said}"):
-        Capacity(**{"polygons": 1, "circles": 1, "joints": 1, "thrusters": 1} | sizes)
+        Capacity(**{**ONE_OF_EACH, **sizes})
 
 
 def test_worlds_of_different_kinds_are_not_stacked():

@@ -63,7 +63,8 @@ def test_world_in_a_batch_is_bitwise_the_world_alone():
     scene, state = batch_of(worlds)
     together, _ = engine().step(scene, state, controls(4), num_steps=90)
     for i in range(4):
-        alone, _ = engine().step(*index_worlds((scene, state), slice(i, i + 1)), controls(1), num_steps=90)
+        one_scene, one_state = index_worlds((scene, state), slice(i, i + 1))
+        alone, _ = engine().step(one_scene, one_state, controls(1), num_steps=90)
         assert_same_bits(index_worlds(together, slice(i, i + 1)), alone)
 
 

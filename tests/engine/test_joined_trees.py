@@ -5,10 +5,13 @@ undo oscillates, and is fed by what undoes gaps. Energy is that of mechanics, in
 test_follows_float64.py has the reference.
 """
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
+from jax2d.builder_options import BodyKeywords
 from jax2d.fidelity import Trajectory, record_worlds
 
 CAPACITY = Capacity(polygons=6, circles=0, joints=5, thrusters=0)
@@ -37,9 +40,11 @@ def tree(
             centres.append(centres[rng.integers(k)] + rng.uniform(-0.2, 0.2, 2))
         x, y = centres[k]
         width, height = rng.uniform(0.1, 0.6, 2)
-        moves = {"fixed": True} if hangs and k == 0 else {"velocity": (-spin * y, spin * x), "angular_velocity": spin}
+        moves: BodyKeywords = (
+            {"fixed": True} if hangs and k == 0 else {"velocity": (-spin * y, spin * x), "angular_velocity": spin}
+        )
         density = float(np.exp(rng.uniform(-0.5, 0.5) * np.log(mass_ratio)))
-        body = {"position": (x, y), "angle": rng.uniform(0, 2 * np.pi), "density": density, "mask": 0}
+        body: BodyKeywords = {"position": (x, y), "angle": rng.uniform(0, 2 * np.pi), "density": density, "mask": 0}
         shapes.append(builder.add_box(width=width, height=height, **body, **moves))
     for k in range(1, len(shapes)):
         other = int(rng.integers(k))
@@ -49,7 +54,7 @@ def tree(
     return builder.build()
 
 
-KINDS = {
+KINDS: dict[str, dict[str, Any]] = {
     "welded": {"share_of_welds": 1.0, "mass_ratio": 10.0},
     "welded, very unequal": {"share_of_welds": 1.0, "mass_ratio": 100.0},
     "welded and hinged": {"share_of_welds": 0.5, "mass_ratio": 30.0},
@@ -108,7 +113,9 @@ def row(num: int, side: float, spin: float, *, hangs: bool) -> BuiltWorld:
     shapes = []
     for k in range(num):
         x = k - (num - 1) / 2
-        moves = {"fixed": True} if hangs and k == 0 else {"velocity": (0, spin * x), "angular_velocity": spin}
+        moves: BodyKeywords = (
+            {"fixed": True} if hangs and k == 0 else {"velocity": (0, spin * x), "angular_velocity": spin}
+        )
         shapes.append(builder.add_box(width=side, height=side, position=(x, 0), mask=0, **moves))
         if k:
             builder.add_fixed_joint(shapes[k - 1], shapes[k], at=(x - 0.5, 0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Unpack
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ import pytest
 
 from jax2d import Effects, Engine, MissingEffectError, SceneBuilder, SceneError, State, measure, preset
 from jax2d.builder import BuiltWorld
+from jax2d.builder_options import BodyKeywords, MaterialKeywords
 from jax2d.fidelity import record_worlds
 from tests.engine.worlds import CAPACITY, builder, engine, run
 
@@ -22,7 +24,7 @@ H = STANDARD.substep_seconds
 MU = STANDARD.base_friction  # of two shapes of friction 1
 
 
-def platform(b: SceneBuilder, velocity: tuple[float, float], **options: object) -> int:
+def platform(b: SceneBuilder, velocity: tuple[float, float], **options: Unpack[MaterialKeywords]) -> int:
     """Its top is y = 0."""
     return b.add_box(width=4, height=0.2, position=(0, -0.1), kinematic=True, velocity=velocity, **options)
 
@@ -132,7 +134,7 @@ def several_hit_a_platform(speed: float) -> BuiltWorld:
     """A ball after a ball, a disc with a load and a sliding box, seen from where the platform moves at `speed`, or is
     fixed."""
     b = builder()
-    state = {"kinematic": True, "velocity": (0.3 * speed, speed)} if speed else {"fixed": True}
+    state: BodyKeywords = {"kinematic": True, "velocity": (0.3 * speed, speed)} if speed else {"fixed": True}
     b.add_box(width=8, height=0.2, position=(0, -0.1), restitution=0.9, **state)
     seen = (0.3 * speed, speed)
 

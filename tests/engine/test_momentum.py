@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, preset
+from jax2d.builder_options import RevoluteKeywords
 from jax2d.fidelity import Trajectory, record_worlds
 
 CAPACITY = Capacity(polygons=6, circles=6, joints=5, thrusters=1)
@@ -69,7 +70,7 @@ def jointed(kind: str, links: int = 2) -> Build:
             else:
                 limits = (-0.5, 0.5) if kind == "limits" else None
                 speed = 1.0 if kind == "motor" else None
-                motor = {} if speed is None else {"motor_speed": speed, "motor_power": 2.0}
+                motor: RevoluteKeywords = {} if speed is None else {"motor_speed": speed, "motor_power": 2.0}
                 b.add_revolute_joint(*ends, at=at, limits=limits, **motor)
 
     return build

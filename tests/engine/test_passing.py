@@ -140,7 +140,7 @@ def test_disc_in_a_bowl_of_facets_rises_as_the_polyline_says(num_facets: int):
     angles = np.linspace(math.pi, 2 * math.pi, num_facets + 1)
     seams = bowl * np.stack([np.cos(angles), np.sin(angles)], -1)
     for radius in (0.1, 0.2):
-        b = SceneBuilder(capacity)
+        b, places = SceneBuilder(capacity), []
         for i in range(num_facets):
             along = seams[i + 1] - seams[i]
             tilt = math.atan2(along[1], along[0])
@@ -148,9 +148,8 @@ def test_disc_in_a_bowl_of_facets_rises_as_the_polyline_says(num_facets: int):
             middle = (seams[i] + seams[i + 1]) / 2
             at = tuple(middle - 0.1 * inward)
             b.add_box(width=float(np.linalg.norm(along)), height=0.2, angle=tilt, position=at, fixed=True, friction=0.0)
-            if i == starts:
-                start = tuple(middle + radius * inward)
-        b.add_circle(radius=radius, position=start, friction=0.0)
+            places.append(middle + radius * inward)
+        b.add_circle(radius=radius, position=places[starts], friction=0.0)
         worlds.append(b.build())
     for radius, m in zip((0.1, 0.2), record_worlds(engine("standard", capacity), worlds, seconds=2.5)):
         path = np.asarray(m.position[:, capacity.polygons], np.float64)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +43,7 @@ def published(*details: str, batch_size: int = 1) -> Published:
     return Published(frozenset(details), batch_size)
 
 
-def at_rest(position: np.ndarray, angle: np.ndarray) -> Bodies:
+def at_rest(position: jax.Array | np.ndarray, angle: jax.Array | np.ndarray) -> Bodies:
     zeros = jnp.zeros_like(angle)
     ones = jnp.ones_like(angle)
     still = jnp.zeros_like(position)
@@ -84,7 +85,7 @@ def found(b: SceneBuilder, *details: str) -> tuple[np.ndarray, np.ndarray, np.nd
     return c.normal[used], world.position[first] + c.arm_a[used], c.separation[used], c.key[used] & feature_bits
 
 
-def close(x: np.ndarray, y: object) -> None:
+def close(x: Any, y: Any) -> None:
     np.testing.assert_allclose(x, y, atol=2e-6)  # float32, coordinates of a few metres
 
 

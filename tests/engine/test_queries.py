@@ -59,7 +59,7 @@ def oracle(world, origin, way, ignore=()):
     origin, way = np.asarray(origin, np.float64), np.asarray(way, np.float64)
     length = float(np.hypot(*way))
     best = (length, -1, np.zeros(2))
-    for shape in np.flatnonzero(world.scene.shapes.active):
+    for shape in np.flatnonzero(world.scene.shapes.active).tolist():
         if shape in ignore:
             continue
         centre = np.asarray(world.position[shape], np.float64)
@@ -265,7 +265,7 @@ def test_wrong_shapes_are_named():
     with pytest.raises(ValueError, match=r"state.position has shape"):
         cast_rays(stack_worlds([scene, scene]), state, *rays)
     with pytest.raises(TypeError, match="scene is of type"):
-        cast_rays(state, state, *rays)
+        cast_rays(state, state, *rays)  # type: ignore[arg-type]
 
 
 def test_gradient_of_a_distance_is_that_of_the_way_to_the_face():

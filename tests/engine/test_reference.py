@@ -190,7 +190,7 @@ def test_bounces_give_a_world_no_energy(friction: float) -> None:
         packed_scene = one.pack_scene(level.scene)
 
         def body(packed: Any, _: None) -> tuple[Any, jax.Array]:
-            packed, _ = one.step_packed(packed_scene, packed, one.no_controls(NUM_WORLDS))
+            packed, _report = one.step_packed(packed_scene, packed, one.no_controls(NUM_WORLDS))
             now = one.unpack_state(packed)
             midway = now.velocity + 0.5 * h * level.scene.gravity[:, None]
             falls = (level.scene.shapes.inverse_mass > 0)[..., None]

@@ -25,7 +25,7 @@ def outcome(name: str) -> Any:
     def value(x: dict[str, jax.Array], scene: Any, state: State, weights: dict[str, jax.Array]) -> jax.Array:
         state = dataclasses.replace(state, **{k: v for k, v in x.items() if k not in ("motor", "thruster")})
         end, _ = one.step(scene, state, Controls(motor=x["motor"], thruster=x["thruster"]), num_steps=20)
-        return sum(jnp.sum(weight * getattr(end, field)) for field, weight in weights.items())
+        return jnp.asarray(sum(jnp.sum(weight * getattr(end, field)) for field, weight in weights.items()))
 
     return value
 

@@ -8,6 +8,7 @@ import random
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -251,7 +252,7 @@ def test_nets_of_rods_ropes_and_springs_gain_no_energy(name: str, most: float):
 
     def energy(state: State) -> jax.Array:
         parts = (measure.kinetic_energy, measure.potential_energy, measure.elastic_energy)
-        return sum(jax.vmap(part)(scene, state) for part in parts)
+        return jnp.asarray(sum(jax.vmap(part)(scene, state) for part in parts))
 
     packed_scene, controls = one.pack_scene(scene), one.no_controls(len(worlds))
 

@@ -14,6 +14,7 @@ from kinetix_dist.config import ConfigError
 from kinetix_dist.env.action_spaces import ACTION_SPACES
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.recipes import recipe
+from tests.helpers import present
 from tests.level.random_levels import random_levels
 
 NUM_LEVELS, STEPS = 96, 12
@@ -64,7 +65,7 @@ def test_each_head_that_is_bound_moves_something(played):
 
 def test_leaving_out_unbound_heads_keeps_the_expected_gradient():
     """Enumerates all actions: gradient of E[A grad log p] where A depends on bound heads alone, and of the entropy."""
-    distribution = ACTION_SPACES["multi_discrete"].distribution
+    distribution = present(ACTION_SPACES["multi_discrete"].distribution)
     bound = jnp.array([True, False, False, True, False, True])
     logits = tuple(jax.random.normal(jax.random.key(i), (size,)) for i, size in enumerate(distribution.head_sizes))
     actions = jnp.array(list(itertools.product(*(range(size) for size in distribution.head_sizes))))
@@ -94,7 +95,7 @@ def test_leaving_out_unbound_heads_keeps_the_expected_gradient():
 
 @pytest.mark.parametrize("name", ["multi_discrete", "continuous"])
 def test_samples_and_log_probabilities_leave_out_the_same(name):
-    distribution = ACTION_SPACES[name].distribution
+    distribution = present(ACTION_SPACES[name].distribution)
     outputs = tuple(jax.random.normal(jax.random.key(i), (5, size)) for i, size in enumerate(distribution.head_sizes))
     uniforms = jax.random.uniform(jax.random.key(7), (5, distribution.num_uniforms))
     bound = jax.random.bernoulli(jax.random.key(8), 0.5, (5, 6))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import subprocess
 import sys
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -211,7 +212,7 @@ def test_levels_with_what_the_engine_was_made_without_are_refused(env: Environme
         ("failure_penalty", 1e39, "EnvConfig.failure_penalty is 1e\\+39; it must be from 0 to 3.4"),
     ],
 )
-def test_bad_config_values_are_refused(field: str, value: object, message: str) -> None:
+def test_bad_config_values_are_refused(field: str, value: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         EnvConfig(**{field: value})
 
@@ -293,7 +294,7 @@ def test_an_environment_for_fewer_effects_names_what_a_level_lacks() -> None:
     with pytest.raises(MissingEffectError, match=r"scene 1 calls for revolute_joints, motors, joint_slots"):
         env.prepare(batch(LIGHT, DRIVEN))
 
-    def step_once(levels: object) -> jax.Array:  # inside jit nothing can be refused
+    def step_once(levels: Level) -> jax.Array:  # inside jit nothing can be refused
         prepared = env.prepare(levels)
         return env.step(prepared, env.reset(prepared)[0], jnp.zeros((2, 6), jnp.int32))[-1].missing_effects
 

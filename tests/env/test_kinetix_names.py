@@ -18,6 +18,7 @@ from kinetix_dist.env.wrappers.kinetix import (
     make_render_pixels,
     make_reset_fn_sample_kinetix_level,
 )
+from kinetix_dist.level.level import Level
 
 SMALL = StaticEnvParams(num_polygons=5, num_circles=2, num_joints=1, num_thrusters=1)
 
@@ -69,12 +70,16 @@ def test_the_example_of_the_public_package_runs(static_env_params):
     assert reward.shape == done.shape == () and not done and info["episode_length"] == 1
 
 
+def no_level(key: jax.Array) -> Level:
+    raise AssertionError("a level is drawn")
+
+
 def test_what_is_no_size_and_other_parameters_are_refused():
     with pytest.raises(ValueError, match=r"has \(7, 4, 6, 2\).*s \(5, 2, 1, 1\)"):
         make_kinetix_env(
-            ActionType.DISCRETE, ObservationType.SYMBOLIC_FLAT, lambda key: None, None, StaticEnvParams(num_polygons=7)
+            ActionType.DISCRETE, ObservationType.SYMBOLIC_FLAT, no_level, None, StaticEnvParams(num_polygons=7)
         )
-    env = make_kinetix_env(ActionType.DISCRETE, ObservationType.SYMBOLIC_FLAT, lambda key: None, None, SMALL)
+    env = make_kinetix_env(ActionType.DISCRETE, ObservationType.SYMBOLIC_FLAT, no_level, None, SMALL)
     with pytest.raises(ValueError, match=r"made for EnvParams.*max_timesteps=256"):
         env.step(jax.random.key(0), None, 0, EnvParams(max_timesteps=3))
 

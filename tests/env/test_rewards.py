@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jax2d.scene import Controls
 from kinetix_dist.config import ConfigError, TrainConfig, from_dict, from_dict_for_playing, numbers_of, to_dict
 from kinetix_dist.config.phases import PhaseConfig, read_phases
 from kinetix_dist.config.train_config import differences
 from kinetix_dist.env.environment import EnvConfig, Environment
-from kinetix_dist.env.outcome import Outcome
+from kinetix_dist.env.outcome import Outcome, RoleMasks
 from kinetix_dist.env.rewards import REWARDS, Bodies, Reward, Step
 from kinetix_dist.level.level import Role
 from kinetix_dist.level.sets import load_level_set
@@ -37,13 +37,13 @@ def step(penalty: float = 1.0) -> Step:
     bodies = Bodies(position=nothing, angle=nothing, velocity=nothing, angular_velocity=nothing)
     return Step(
         level=None,
-        roles=SimpleNamespace(),
+        roles=RoleMasks(is_green=nothing, is_blue=nothing, blue_bits=nothing, red_bits=nothing),
         before=bodies,
         after=bodies,
         distance_before=jnp.full(4, BEFORE_M),
         distance_after=jnp.full(4, AFTER_M),
         actions=nothing,
-        controls=SimpleNamespace(),
+        controls=Controls(motor=nothing, thruster=nothing),
         outcome=Outcome(
             solved=is_world(SOLVED), failed=is_world(FAILED), timed_out=is_world(TIMED_OUT), unstable=is_world(-1)
         ),
@@ -68,9 +68,11 @@ def test_what_a_reward_uses_is_what_changes_it() -> None:
     for name in ("dense", "sparse", "shaped"):  # other tests of the process register their own
         reward = REWARDS[name]
         by_hand = reward.reward(step())
-        for field, uses in (("dense_scale", reward.uses_dense_scale), ("discount", reward.uses_discount)):
-            other = reward.reward(dataclasses.replace(step(), **{field: 0.5}))
-            assert bool((other != by_hand).any()) == uses, (name, field)
+        for changed, uses in (
+            (dataclasses.replace(step(), dense_scale=0.5), reward.uses_dense_scale),
+            (dataclasses.replace(step(), discount=0.5), reward.uses_discount),
+        ):
+            assert bool((reward.reward(changed) != by_hand).any()) == uses, (name, changed)
 
 
 # Episodes

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,30 +12,31 @@ from scipy import stats
 
 from kinetix_dist.env.action_spaces import ACTION_SPACES, ActionSpace
 from kinetix_dist.env.action_spaces.truncated_normal import MAX_SPREAD, MIN_SPREAD
+from tests.helpers import present
 
 CONTINUOUS, DISCRETE = ACTION_SPACES["continuous"], ACTION_SPACES["discrete"]
-NUMBERS = CONTINUOUS.distribution
+NUMBERS = present(CONTINUOUS.distribution)
 HALF = 0.5 * (np.array(CONTINUOUS.high) - CONTINUOUS.low)
 
 
 def random_outputs(space: ActionSpace, count: int, scale: float = 2.0) -> tuple[jax.Array, ...]:
-    keys = jax.random.split(jax.random.key(1), len(space.distribution.head_sizes))
-    return tuple(scale * jax.random.normal(k, (count, n)) for k, n in zip(keys, space.distribution.head_sizes))
+    keys = jax.random.split(jax.random.key(1), len(present(space.distribution).head_sizes))
+    return tuple(scale * jax.random.normal(k, (count, n)) for k, n in zip(keys, present(space.distribution).head_sizes))
 
 
 def drawn(space: ActionSpace, outputs: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
-    shape = (outputs[0].shape[0], space.distribution.num_uniforms)
-    return space.distribution.sample(outputs, jax.random.uniform(jax.random.key(2), shape))
+    shape = (outputs[0].shape[0], present(space.distribution).num_uniforms)
+    return present(space.distribution).sample(outputs, jax.random.uniform(jax.random.key(2), shape))
 
 
-def of_scipy(outputs: tuple[jax.Array, ...]):
+def of_scipy(outputs: tuple[jax.Array, ...]) -> Any:
     """Means and spreads by hand, in float64."""
     first, second = (np.asarray(output, float) for output in outputs)
     mean = 0.5 * (np.array(CONTINUOUS.high) + CONTINUOUS.low) + HALF * np.tanh(first)
     share = 1 / (1 + np.exp(-second))
     spread = HALF * MIN_SPREAD * (MAX_SPREAD / MIN_SPREAD) ** share
     ends = [(np.array(end) - mean) / spread for end in (CONTINUOUS.low, CONTINUOUS.high)]
-    return stats.truncnorm(*ends, loc=mean, scale=spread)
+    return stats.truncnorm(ends[0], ends[1], loc=mean, scale=spread)
 
 
 def test_log_probability_and_entropy_are_those_of_scipy():
@@ -83,12 +86,12 @@ def test_one_choice_of_eleven_has_the_log_probability_and_entropy_of_scipy():
     DISCRETE.check(actions, 300)
     logits = np.asarray(outputs[0], float)
     chances = np.exp(logits) / np.exp(logits).sum(-1, keepdims=True)
-    again, entropy = DISCRETE.distribution.log_prob_and_entropy(outputs, actions.astype(jnp.int8))
+    again, entropy = present(DISCRETE.distribution).log_prob_and_entropy(outputs, actions.astype(jnp.int8))
     np.testing.assert_allclose(log_prob, np.log(chances[np.arange(300), actions]), rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(entropy, stats.entropy(chances, axis=-1), rtol=1e-5)
     np.testing.assert_array_equal(log_prob, again)
-    np.testing.assert_array_equal(DISCRETE.distribution.mode(outputs), logits.argmax(-1))
-    many = DISCRETE.distribution.sample(
+    np.testing.assert_array_equal(present(DISCRETE.distribution).mode(outputs), logits.argmax(-1))
+    many = present(DISCRETE.distribution).sample(
         (jnp.repeat(outputs[0][:1], 20_000, 0),), jax.random.uniform(jax.random.key(3), (20_000, 1))
     )[0]
     np.testing.assert_allclose(np.bincount(many, minlength=11) / 20_000, chances[0], atol=0.015)  # 4 standard errors

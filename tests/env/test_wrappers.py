@@ -20,6 +20,7 @@ from kinetix_dist.env.wrappers.gymnasium_env import KinetixEnv, KinetixVectorEnv
 from kinetix_dist.env.wrappers.gymnax_env import GymnaxEnv
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
+from tests.helpers import present
 
 SPACES = ["multi_discrete", "continuous", "discrete"]
 MAX_STEPS = 8
@@ -41,7 +42,7 @@ def config(observation: str = "flat", space: str = "multi_discrete") -> EnvConfi
 def test_gymnasium_accepts_the_environment_of_one_world(observation, space, levels):
     env = KinetixEnv(config(observation, space), levels, render_mode="rgb_array")
     check_env(env, skip_render_check=True)  # that one looks for env.spec, which environments not made by name lack
-    assert env.render().dtype == np.uint8
+    assert present(env.render()).dtype == np.uint8
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +84,9 @@ def test_gymnasiums_own_vector_wrappers_take_it(envs):
     obs, _ = wrapped.reset(seed=1)
     again, _ = wrapped.reset(seed=1)
     np.testing.assert_array_equal(obs, again)
-    for _ in range(MAX_STEPS):
-        obs, _, terminations, truncations, infos = wrapped.step(wrapped.action_space.sample())
+    for _ in range(MAX_STEPS - 1):
+        wrapped.step(wrapped.action_space.sample())
+    _, _, terminations, truncations, infos = wrapped.step(wrapped.action_space.sample())
     assert (terminations | truncations).any() and any("final_obs" in info for info in infos)
     assert any("episode" in info for info in infos)
 
@@ -109,10 +111,11 @@ def test_a_vector_without_autoreset_starts_the_worlds_of_the_mask_and_no_others(
             num_resets += 1
             begun, _ = ours.reset(options={"reset_mask": mask, "levels": [4, 1, 2]})
             np.testing.assert_array_equal(begun[~mask], obs[~mask])
-            for world in np.flatnonzero(mask):
-                own = np.arange(3) == world
-                expected_obs, _ = theirs.reset(options={"reset_mask": own, "level": int(ours.level_numbers[world])})
-            np.testing.assert_allclose(begun, expected_obs, atol=1e-6)
+            started = [
+                theirs.reset(options={"reset_mask": np.arange(3) == world, "level": int(ours.level_numbers[world])})
+                for world in np.flatnonzero(mask)
+            ]
+            np.testing.assert_allclose(begun, started[-1][0], atol=1e-6)
     assert num_resets == 4 and ours.level_numbers.tolist() == [4, 1, 2]
 
 

@@ -43,6 +43,10 @@ class OneValue(nn.Module):
         return logits, jnp.broadcast_to(b, (num_samples,))
 
 
+def make_policy() -> nn.Module:
+    return OneValue()
+
+
 def measured(num_devices: int) -> dict[str, float]:
     mesh = data_mesh(jax.devices()[:num_devices])
     static = StaticInput(obs=synthetic_static_obs(WORLDS, CAPACITY))
@@ -50,7 +54,7 @@ def measured(num_devices: int) -> dict[str, float]:
     rewards = np.random.default_rng(0).normal(1.0, 3.0, (STEPS, WORLDS)).astype(np.float32)
     ends, values = np.ones((STEPS, WORLDS), bool), np.zeros((STEPS, WORLDS), np.float32)
     trajectory = dataclasses.replace(trajectory, values=values, rewards=rewards, done_after=ends)
-    observation, policy = OBSERVATIONS["entity"], OneValue()
+    observation, policy = OBSERVATIONS["entity"], make_policy()
     obs = observation.join(static.obs, jax.tree.map(lambda x: x[0], trajectory.dynamic_obs))
     state = replicate(PPO.initial_state(policy.init(jax.random.key(0), obs), jax.random.key(1)), mesh)
     division = Division(PPO.virtual_shards, num_devices)

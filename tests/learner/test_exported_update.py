@@ -44,7 +44,12 @@ def traced(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     def counting(*arguments: Any, **named: Any) -> Update:
         update = make_update(*arguments, **named)
-        return lambda *given: found.append(0) or update(*given)
+
+        def counted(state: Any, static: Any, trajectory: Any, last_value: Any) -> Any:
+            found.append(0)
+            return update(state, static, trajectory, last_value)
+
+        return counted
 
     monkeypatch.setattr(module, "make_update", counting)
     return found

@@ -10,9 +10,9 @@ from kinetix_dist.learner.gae import gae
 
 def _gae(rewards, values, done_after, last_value, *, discount, trace) -> np.ndarray:
     """One world."""
-    columns = [jnp.asarray(x, jnp.float32)[:, None] for x in (rewards, values)]
-    done = jnp.asarray(done_after, bool)[:, None]
-    return np.asarray(gae(*columns, done, jnp.asarray([last_value]), discount=discount, trace=trace))[:, 0]
+    gained, expected = (jnp.asarray(x, jnp.float32)[:, None] for x in (rewards, values))
+    done, last = jnp.asarray(done_after, bool)[:, None], jnp.asarray([last_value])
+    return np.asarray(gae(gained, expected, done, last, discount=discount, trace=trace))[:, 0]
 
 
 def test_one_step_is_the_temporal_difference():

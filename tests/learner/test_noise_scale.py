@@ -4,6 +4,7 @@ import dataclasses
 import json
 import subprocess
 import sys
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -99,7 +100,7 @@ def _gradient(config, policy_config, params, static, trajectory, last_value):
     def loss(params):
         rows = jax.tree.map(lambda x: x.reshape(num_steps * num_worlds, *x.shape[2:]), trajectory.dynamic_obs)
         fixed = jax.tree.map(lambda x: jnp.tile(x, (num_steps, *[1] * (x.ndim - 1))), static.obs)
-        memory = {}
+        memory: dict[str, Any] = {}
         if policy_config.recurrent != "none":
             is_first = np.roll(trajectory.done_after, 1, axis=0)
             is_first[0] = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -56,7 +57,7 @@ def _measure(policy, params, obs, memory=None):
     return {name: float(value) for name, value in measure(params, static, trajectory).items()}
 
 
-def _policy(layers=1):
+def _policy(layers=1) -> tuple[FlatMlp, Any, np.ndarray]:
     policy = FlatMlp(flat_size=WIDTH, hidden_size=WIDTH, hidden_layers=layers, head_sizes=(3,), dtype=jnp.float32)
     obs = np.random.default_rng(0).normal(size=(STEPS, WORLDS, WIDTH)).astype(np.float32)
     return policy, policy.init(jax.random.key(0), obs[0]), obs

@@ -12,6 +12,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS
+from kinetix_dist.env.observations import OBSERVATIONS
 from kinetix_dist.env.observations.entities import observe
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.division import Division
@@ -113,7 +114,8 @@ def test_an_epoch_visits_every_sample_once():
     mesh = data_mesh(jax.devices()[:1])
 
     def shuffled(key):
-        program = _Program(None, None, None, PPO, Division(PPO.virtual_shards, 1))
+        policy = make_policy(POLICY, ACTIONS.head_sizes)
+        program = _Program(policy, OBSERVATIONS["entity"], ACTIONS, PPO, Division(PPO.virtual_shards, 1))
         return _shuffled(key, STEPS, WORLDS, program)
 
     on_device = jax.shard_map(shuffled, mesh=mesh, in_specs=jax.P(), out_specs=jax.P(), check_vma=False)

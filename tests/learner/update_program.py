@@ -98,9 +98,9 @@ def main() -> None:
     saved |= local_values(measure(state.params, static, trajectory))
     for number, batch in enumerate((arguments, poisoned(arguments))):
         state, metrics = update(state, *place(batch, mesh, config))
-        saved[f"params_{number}"] = ravel_pytree(local_values(state.params))[0]
+        saved[f"params_{number}"] = np.asarray(ravel_pytree(local_values(state.params))[0])
         saved |= {f"{name}_{number}": value for name, value in local_values(metrics).items()}
-    np.savez(out, **saved)
+    np.savez(out, allow_pickle=False, **saved)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ LIMITS = (-0.5, 1.2)  # of the second joint, likewise: rad, of a slider m
 AXIS = 0.4  # of a slider, frame of the box
 
 
-def in_world(at: tuple[float, float], angle: float, point: tuple[float, float]) -> np.ndarray:
+def in_world(at: tuple[float, float], angle: float, point: tuple[float, float] | np.ndarray) -> np.ndarray:
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     return np.asarray(at) + turn @ np.asarray(point)
 

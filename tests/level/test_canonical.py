@@ -157,7 +157,7 @@ def vehicle(*motors: dict[str, Any], second: str = "circle") -> dict[str, Any]:
         wheels[-1] = {"id": wheels[-1]["id"], "type": "box", "width": 0.6, "height": 0.1, "position": [2.4, 0.9]}
     if second == "hub":
         wheels[-1]["fixed"] = True
-    joints = [
+    joints: list[dict[str, Any]] = [
         {"type": "revolute", "a": "bar", "b": wheel["id"], "anchor": wheel["position"], "motor": motor}
         for wheel, motor in zip(wheels, motors, strict=True)
     ]
@@ -206,7 +206,7 @@ def test_wheels_of_a_colour_have_positive_speeds(
 ) -> None:
     document = vehicle(*motors, second=second)
     level = level_from_json(document)
-    np.testing.assert_array_equal(level.scene.joints.motor_speed[: len(speeds)], np.float32(speeds))
+    np.testing.assert_array_equal(level.scene.joints.motor_speed[: len(speeds)], np.asarray(speeds, np.float32))
     np.testing.assert_array_equal(np.flatnonzero(turned_colours_of(document)), turned)
 
 
@@ -232,9 +232,13 @@ def test_a_colour_with_a_motor_of_another_drive_is_left_alone() -> None:
 
 def test_a_level_as_it_was_written_has_the_signs_of_the_file() -> None:
     document = vehicle(motor(-1.0), motor(-2.0, 3))
-    np.testing.assert_array_equal(level_as_written(document).scene.joints.motor_speed[:2], np.float32([-1.0, -2.0]))
+    np.testing.assert_array_equal(
+        level_as_written(document).scene.joints.motor_speed[:2], np.array([-1.0, -2.0], np.float32)
+    )
     document = vehicle(motor(1.0), motor(-2.0), second="box")
-    np.testing.assert_array_equal(level_as_written(document).scene.joints.motor_speed[:2], np.float32([1.0, -2.0]))
+    np.testing.assert_array_equal(
+        level_as_written(document).scene.joints.motor_speed[:2], np.array([1.0, -2.0], np.float32)
+    )
 
 
 def test_a_level_that_is_turned_round_is_driven_by_the_other_actions_bit_for_bit() -> None:
@@ -348,12 +352,12 @@ def test_another_order_of_slots_is_another_order_of_rows_and_nothing_else(size: 
             rows_with_shapes(obs, (obs.joint_from[0], obs.joint_to[0]), obs.joints[0], obs.joint_mask[0])
             for obs in (one, two)
         ]
-        np.testing.assert_allclose(*joints, atol=1e-6)  # sin(-x) and -sin(x)
+        np.testing.assert_allclose(joints[0], joints[1], atol=1e-6)  # sin(-x) and -sin(x)
         thrusters = [
             rows_with_shapes(obs, (obs.thruster_owner[0],), obs.thrusters[0], obs.thruster_mask[0])
             for obs in (one, two)
         ]
-        np.testing.assert_array_equal(*thrusters)
+        np.testing.assert_array_equal(thrusters[0], thrusters[1])
 
 
 @pytest.mark.parametrize("size", SIZES)

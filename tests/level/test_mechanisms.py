@@ -118,7 +118,7 @@ def test_a_flyer_has_thrusters_that_carry_it() -> None:
         sideways_n = np.abs(10.0 * thrusters.power * np.cos(thrusters.angle)).max(axis=1)
         assert (sideways_n > 0.05 * weight_n).all()
         assert (levels.position[is_green][:, 1] > FLOOR_TOP_M + 0.6).all()
-    polygons = SIZES["l"].polygons
+    levels, polygons = levels_of("l", "flyer"), SIZES["l"].polygons
     assert 0.4 < (levels.shape_role[:, polygons:] == Role.GREEN).any(axis=1).mean() < 0.6  # a disc
     is_fixed = levels.scene.shapes.active & (levels.scene.shapes.inverse_mass == 0) & (levels.shape_role != Role.BLUE)
     is_fixed[:, :NUM_WALLS] = False
@@ -743,8 +743,8 @@ def test_a_share_of_the_levels_has_mechanisms_and_the_others_are_as_without() ->
     mixed = generate_levels(jax.random.key(9), NUM_LEVELS, SIZES["m"], GeneratorConfig(mechanism_share=0.3))
     plain = generate_levels(jax.random.key(9), NUM_LEVELS, SIZES["m"], GeneratorConfig())
     others = generate_levels(jax.random.key(9), NUM_LEVELS, SIZES["m"], generator("locomotion"))
-    is_plain = np.isclose(mixed.position, plain.position, atol=1e-5).all(axis=(1, 2))
-    is_other = np.isclose(mixed.position, others.position, atol=1e-5).all(axis=(1, 2))
+    is_plain = np.all(np.isclose(mixed.position, plain.position, atol=1e-5), axis=(1, 2))
+    is_other = np.all(np.isclose(mixed.position, others.position, atol=1e-5), axis=(1, 2))
     assert (is_plain ^ is_other).all()
     assert abs(is_other.mean() - 0.3) < 0.09
 

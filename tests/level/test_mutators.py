@@ -83,7 +83,7 @@ def test_each_mutator_changes_what_it_says():
 def test_a_full_level_takes_no_more_and_an_empty_one_loses_nothing():
     for name in ("add_shape", "add_joined_shape"):
         once = jax.vmap(lambda key, level, name=name: apply(name, key, level, CAPACITY, CONFIG))
-        level = generated()
+        level, changed = generated(), np.zeros(NUM_LEVELS, bool)
         for seed in range(CAPACITY.shapes):
             level, changed = jax.jit(once)(jax.random.split(jax.random.key(seed), NUM_LEVELS), level)
         if name == "add_shape":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ PROOF = Proof(
     method="cem",
     robustness=0.5,
 )
-ENVIRONMENT = {"preset": "standard", "frame_skip": 2, "max_steps": 256}
+ENVIRONMENT: dict[str, Any] = {"preset": "standard", "frame_skip": 2, "max_steps": 256}
 
 
 def test_what_is_written_comes_back(tmp_path: Path) -> None:

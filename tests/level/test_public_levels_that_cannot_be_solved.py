@@ -34,7 +34,7 @@ def test_green_is_too_low_before_it_touches_anything(
     """share: thrust over weight; way_m: to the first shape that is not red; room_m: above the floor or that shape."""
     level = load_kinetix(public_levels / "l" / f"{name}.json")
     shapes, thrusters = level.scene.shapes, level.scene.thrusters
-    (green,) = np.flatnonzero(shapes.active & (level.shape_role == Role.GREEN))
+    (green,) = np.flatnonzero(shapes.active & (level.shape_role == Role.GREEN)).tolist()
     assert level.shape_role[0] == Role.RED and not np.any(level.velocity) and not level.scene.joints.active.any()
     weight = GRAVITY_M_S2 / shapes.inverse_mass[green]
     directions = []

@@ -71,7 +71,7 @@ def test_each_change_is_made_to_half_of_the_levels_within_its_limits() -> None:
 
     def share(changed: np.ndarray, where: np.ndarray) -> float:
         """Share of the levels that have something to change."""
-        return (changed & where).any(1)[where.any(1)].mean()
+        return np.any(changed & where, axis=1)[np.any(where, axis=1)].mean()
 
     has_motor = joints.active & joints.motor_on
     power = np.where(has_motor, joints.motor_power / np.where(has_motor, plain.scene.joints.motor_power, 1), 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -70,7 +71,8 @@ def test_the_deeper_network_begins_as_the_same_function_and_learns_in_every_part
     assert changed(unflatten_arrays(fresh, initial | given)) > 0.5
 
     def loss(params):
-        logits, value = deep.apply(params, OBS)
+        outputs: Any = deep.apply(params, OBS)
+        logits, value = outputs
         return jnp.sum(value**2) + sum(jnp.sum(jax.nn.log_softmax(head)[:, 0]) for head in logits)
 
     # Where kernels of an output are zero the ones before it have no gradient yet: one step, then all have.

@@ -6,6 +6,7 @@ On a CPU their sources run by a C++ compiler (cuda_on_cpu), every thread of them
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.flatten_util
@@ -15,6 +16,7 @@ import pytest
 
 from kinetix_dist.benchmarks.synthetic_batch import ACTIONS, synthetic_static_obs, synthetic_trajectory
 from kinetix_dist.env.observations import OBSERVATIONS
+from kinetix_dist.env.observations.entities import EntityObs
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.models import layer as xla
 from kinetix_dist.models.kernels import cuda_kernel, support
@@ -59,7 +61,7 @@ def rounded(rng: np.random.Generator, *shape: int, scale: float = 1.0) -> np.nda
 
 def away_from_zero(rng: np.random.Generator, *shape: int) -> np.ndarray:
     """Biases before relu: a sum that is nearly 0 would fall on either side of it in bfloat16, by chance."""
-    return np.float32(rng.choice([-6, 6], shape))
+    return np.asarray(rng.choice([-6, 6], shape), np.float32)
 
 
 def normalised(x):
@@ -113,11 +115,11 @@ def test_encoders(place, groups, worlds):
     worlds = worlds if place == "on a CPU" else worlds * 500
     rng = np.random.default_rng(0)
     num_others = 1 if len(groups) > 1 else 0
-    features = [np.float32(rng.standard_normal((worlds, *group))) for group in groups]
+    features = [np.asarray(rng.standard_normal((worlds, *group)), np.float32) for group in groups]
     arguments = {}
     for number, (_, width) in enumerate(groups):
-        arguments[f"kernel_{number}"] = np.float32(rng.standard_normal((width, E)) * width**-0.5)
-        arguments[f"bias_{number}"] = np.float32(0.3 * rng.standard_normal(E))
+        arguments[f"kernel_{number}"] = np.asarray(rng.standard_normal((width, E)) * width**-0.5, np.float32)
+        arguments[f"bias_{number}"] = np.asarray(0.3 * rng.standard_normal(E), np.float32)
     grads = [rounded(rng, worlds, sum(rows for rows, _ in groups) + num_others, E)]
 
     def exact(*parameters):
@@ -184,15 +186,15 @@ def test_attention(place, size, worlds):
         qkv = (normalised(x) @ kernel + bias).reshape(worlds, tokens, 3, *HEADS, 2)
         scores = jnp.einsum("bimgd,bjmgd->mgbij", qkv[:, :, 0], qkv[:, :, 1]) / np.sqrt(2)
         weights = jnp.where(mask[:, None], jnp.exp(scores), 0.0)
-        weights = weights / jnp.where(mask.any(axis=-1)[:, None], weights.sum(axis=-1), 1.0)[..., None]
+        weights = weights / jnp.where(np.any(mask, axis=-1)[:, None], weights.sum(axis=-1), 1.0)[..., None]
         out = jnp.einsum("mgbij,bjmgd->bimgd", weights, qkv[:, :, 2]).reshape(worlds, tokens, 16)
         return x, jax.nn.relu(out @ out_kernel + out_bias)
 
     def by_kernels(x, *parameters):
         return attention_branch(x, words, *parameters)
 
-    def with_xla(x, *parameters):
-        x, update = xla.attention_update(x, words, *parameters, HEADS)
+    def with_xla(x, kernel, bias, out_kernel, out_bias):
+        x, update = xla.attention_update(x, words, kernel, bias, out_kernel, out_bias, HEADS)
         return x, jax.nn.relu(update)
 
     run = prepared(by_kernels, arguments, grads, {"x"})
@@ -218,8 +220,9 @@ def test_messages(place, size, worlds):
         "thruster_kernel": rounded(rng, E, E, scale=E**-0.5),
     }
     grads = [rounded(rng, worlds, tokens, E)]
-    ends = [jnp.asarray(each, jnp.int32) for each in (first, second, owner)]
-    words = (pack_ends(*ends[:2], jnp.asarray(of_joints)), pack_ends(ends[2], None, jnp.asarray(of_thrusters)))
+    joint_from, joint_to, thruster_owner = (jnp.asarray(each, jnp.int32) for each in (first, second, owner))
+    joint_mask, thruster_mask = jnp.asarray(of_joints), jnp.asarray(of_thrusters)
+    words = (pack_ends(joint_from, joint_to, joint_mask), pack_ends(thruster_owner, None, thruster_mask))
     activations = {"x", "joint_terms", "thruster_terms"}
 
     def exact(x, joint_terms, thruster_terms, joint_kernel, thruster_kernel):
@@ -229,15 +232,26 @@ def test_messages(place, size, worlds):
         from_thrusters = (x[world, owner] @ thruster_kernel + thruster_terms) * of_thrusters[..., None]
         return x.at[world, first].add(from_joints).at[world, owner].add(from_thrusters)
 
-    class Obs:
-        joint_from, joint_to, thruster_owner = ends
-        joint_mask, thruster_mask = jnp.asarray(of_joints), jnp.asarray(of_thrusters)
+    unread = jnp.zeros(0)
+    obs = EntityObs(
+        polygons=unread,
+        circles=unread,
+        joints=unread,
+        thrusters=unread,
+        shape_mask=unread,
+        attention_masks=unread,
+        joint_mask=joint_mask,
+        thruster_mask=thruster_mask,
+        joint_from=joint_from,
+        joint_to=joint_to,
+        thruster_owner=thruster_owner,
+    )
 
     def by_kernels(x, *others):
         return add_messages(x, *words, *others)
 
     def with_xla(x, *others):
-        return xla.XLA.add_messages(x, xla.XLA.ends(Obs), *others)
+        return xla.XLA.add_messages(x, xla.XLA.ends(obs), *others)
 
     run = prepared(by_kernels, arguments, grads, activations)
     found, by_xla = run(), prepared(with_xla, arguments, grads, activations)()
@@ -255,7 +269,7 @@ def test_messages_along_joints_that_do_not_exist_touch_nothing(place):
     def out(end: int) -> np.ndarray:
         nowhere = [jnp.full((3, count), end) for count in (joints, joints, thrusters)]
         masks = [jnp.zeros((3, count), bool) for count in (joints, thrusters)]
-        words = pack_ends(*nowhere[:2], masks[0]), pack_ends(nowhere[2], None, masks[1])
+        words = pack_ends(nowhere[0], nowhere[1], masks[0]), pack_ends(nowhere[2], None, masks[1])
         return np.asarray(add_messages(x, *words, *terms, *kernels).astype(jnp.float32))
 
     np.testing.assert_array_equal(out(-1), out(0))
@@ -325,7 +339,8 @@ def test_a_network_by_kernels_is_as_near_to_float32_as_by_xla(place, size, read_
 
     def gradient(kernels: str, dtype: str) -> np.ndarray:
         def loss(params):
-            logits, values = policy(kernels, dtype).apply(params, obs)
+            outputs: Any = policy(kernels, dtype).apply(params, obs)
+            logits, values = outputs
             return sum(jnp.sum(jax.nn.log_softmax(head)[:, 0]) for head in logits) + jnp.sum(values**2)
 
         # Not compiled as one: XLA runs callbacks of the interpreter concurrently, and some wait for others.

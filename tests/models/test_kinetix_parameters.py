@@ -111,8 +111,10 @@ def small_leaves() -> dict[str, np.ndarray]:
     ],
 )
 def test_a_leaf_that_is_wrong_is_named(name: str, leaf: np.ndarray | None, message: str) -> None:
-    leaves = small_leaves() | {name: leaf}
+    leaves = dict(small_leaves())
     if leaf is None:
         del leaves[name]
+    else:
+        leaves[name] = leaf
     with pytest.raises(ParameterTreeError, match=message):
         from_package(leaves, SMALL, FEATURES, HEAD_SIZES)

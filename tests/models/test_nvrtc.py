@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import pytest
@@ -11,7 +12,12 @@ import pytest
 from kinetix_dist.models.kernels import nvrtc
 from tests.helpers import compile_cache
 
-SOURCE = {"source": "kernel", "name": "kernel.cu", "headers": {"tile.cuh": "tile"}, "macros": {"TOKENS": 7}}
+SOURCE: dict[str, Any] = {
+    "source": "kernel",
+    "name": "kernel.cu",
+    "headers": {"tile.cuh": "tile"},
+    "macros": {"TOKENS": 7},
+}
 
 
 @pytest.fixture

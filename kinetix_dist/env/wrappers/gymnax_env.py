@@ -100,13 +100,13 @@ class GymnaxEnv(environment.Environment):
     def is_truncated(self, state: GymnaxState, params: GymnaxParams) -> Array:
         return state.timed_out | (state.time >= params.max_steps_in_episode)
 
-    def observation_space(self, params: GymnaxParams) -> spaces.Space:
+    def observation_space(self, params: object) -> spaces.Space:
         obs = self.env.observation_space
         if dataclasses.is_dataclass(obs):
             return spaces.Dict({name: _space_of(part, self.env) for name, part in vars(obs).items()})
         return _space_of(obs, self.env)
 
-    def action_space(self, params: GymnaxParams | None = None) -> spaces.Space:
+    def action_space(self, params: object = None) -> spaces.Space:
         return action_space(self.env.action_space)
 
     def _joined(self, level: PreparedLevels, obs: Any) -> Any:

@@ -222,15 +222,14 @@ def bowl(num_facets: int, radius: float) -> Plan:
     angles = np.linspace(math.pi, 2 * math.pi, num_facets + 1)
     seams = BOWL_M * np.stack([np.cos(angles), np.sin(angles)], -1)
     smooth = {"friction": 0.0}
-    bodies = []
-    for i, (start, end) in enumerate(itertools.pairwise(seams)):
+    bodies, places = [], []
+    for start, end in itertools.pairwise(seams):
         tilt = math.atan2(*(end - start)[::-1])
         inward, middle = np.array([-math.sin(tilt), math.cos(tilt)]), (start + end) / 2
         length = float(np.linalg.norm(end - start))
         bodies.append(box(length, 0.2, _xy(middle - 0.1 * inward), tilt, fixed=True, options=smooth))
-        if i == num_facets // 8:
-            at = _xy(middle + radius * inward)
-    return Plan((disc(radius, at, options=smooth), *bodies))
+        places.append(_xy(middle + radius * inward))
+    return Plan((disc(radius, places[num_facets // 8], options=smooth), *bodies))
 
 
 def bowl_error(solver: Solver) -> float:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -72,6 +72,9 @@ class Spring:
     at_a: Point
     at_b: Point
     options: dict[str, float]  # of `SceneBuilder.add_spring`
+
+
+Element = TypeVar("Element", Joint, Spring)
 
 
 class Plan(NamedTuple):
@@ -193,8 +196,8 @@ def together(first: Plan, second: Plan) -> Plan:
     """Both in one world, with the gravity of the first; its bodies and joints come first."""
     n = len(first.bodies)
     joints, springs = (
-        tuple(dataclasses.replace(element, a=element.a + n, b=element.b + n) for element in elements)
-        for elements in (second.joints, second.springs)
+        _with_ends(second.joints, lambda body: body + n),
+        _with_ends(second.springs, lambda body: body + n),
     )
     return Plan(first.bodies + second.bodies, first.joints + joints, first.springs + springs, first.gravity)
 
@@ -202,10 +205,7 @@ def together(first: Plan, second: Plan) -> Plan:
 def with_bodies_in_order(plan: Plan, order: Sequence[int]) -> Plan:
     """Body k of the result is body order[k]."""
     place = {old: new for new, old in enumerate(order)}
-    joints, springs = (
-        tuple(dataclasses.replace(element, a=place[element.a], b=place[element.b]) for element in elements)
-        for elements in (plan.joints, plan.springs)
-    )
+    joints, springs = _with_ends(plan.joints, place.__getitem__), _with_ends(plan.springs, place.__getitem__)
     return plan._replace(bodies=tuple(plan.bodies[old] for old in order), joints=joints, springs=springs)
 
 
@@ -222,6 +222,11 @@ def with_first_corner(body: Body, first: int) -> Body:
 # Inside
 
 
+def _with_ends(elements: Sequence[Element], number: Callable[[int], int]) -> tuple[Element, ...]:
+    """Elements between other bodies: `number` gives the new number of each."""
+    return tuple(dataclasses.replace(element, a=number(element.a), b=number(element.b)) for element in elements)
+
+
 def _add_joint(b: SceneBuilder, joint: Joint, slots: Sequence[int]) -> None:
     ends = slots[joint.a], slots[joint.b]
     if joint.kind == "weld":
@@ -229,7 +234,7 @@ def _add_joint(b: SceneBuilder, joint: Joint, slots: Sequence[int]) -> None:
         return
     options: dict[str, Any] = {"limits": joint.limits, "speed": joint.speed}
     if joint.kind == "hinge":
-        strength = {"max_torque": joint.strength} if joint.speed is not None else {}
+        strength: dict[str, Any] = {"max_torque": joint.strength} if joint.speed is not None else {}
         b.add_revolute_joint(*ends, at=joint.at, **options, **strength)
     else:
         strength = {"max_force": joint.strength} if joint.speed is not None else {}

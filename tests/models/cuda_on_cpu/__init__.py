@@ -62,6 +62,7 @@ def _library(file: str, macros: tuple[tuple[str, int], ...]) -> ctypes.CDLL:
         with tempfile.TemporaryDirectory(dir=BUILT) as folder:
             result = Path(folder) / "kernel.so"
             checks = ["-fsanitize=alignment", "-fsanitize-undefined-trap-on-error"]
+            assert COMPILER is not None
             command = [COMPILER, "-std=c++20", "-O1", *checks, "-shared", "-fPIC", f"-I{HERE}", f"-I{FOLDER}", *options]
             subprocess.run([*command, str(HERE / "launch.cpp"), "-o", str(result)], check=True)
             os.replace(result, built)
