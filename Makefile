@@ -53,7 +53,7 @@ train: $(STAMP)
 check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyrefly check --python-interpreter-path $(BIN)/python --summary=none
+	$(BIN)/python .ci/check_types.py
 
 # The web pages: their type checker and the browser that tests them come from the npm registry, into .cache.
 WEB := .cache/web
