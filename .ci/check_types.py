@@ -2,7 +2,8 @@
 
 Run pyrefly on the project in the current directory, with the settings of its pyproject.toml. The allowances are in
 `.ci/type_allowance.toml`. The check fails if a package has more errors than it may have, if it has fewer (lower the
-allowance then), and if an allowance is higher than in the last commit or in the one before.
+allowance then), and if an allowance is higher than in the last commit or in the one before. Only Python 3.11 checks for
+fewer errors: with other versions, the lock has other versions of NumPy and JAX, whose types differ a little.
 
 Usage: python .ci/check_types.py        from the root of the repository
 """
@@ -21,8 +22,9 @@ from typing import TypedDict
 
 ALLOWANCES = Path(".ci/type_allowance.toml")
 PACKAGE_OF_TESTS = re.compile(r"tests/\w+")
-# A shallow clone has no parent, and a release that was unpacked has no history: the counts are checked there alone.
+# A shallow clone has no parent, and an unpacked release has no history: both skip the comparison with earlier commits.
 EARLIER_COMMITS = ("HEAD", "HEAD^")
+COUNTED_WITH = (3, 11)  # version of Python with which an allowance must be exact
 
 
 class TypeCheckError(Exception):
@@ -99,7 +101,7 @@ def excesses(errors: Mapping[str, Sequence[Message]], allowances: Mapping[str, i
             for error in errors[package]:
                 print(f"{error['path']}:{error['line']}:{error['column']}: {error['description']} [{error['name']}]")
             lines.append(f"{package} has {counted(number)}, and may have {allowed or 'none'}; fix the new ones")
-        elif number < allowed:
+        elif number < allowed and sys.version_info[:2] == COUNTED_WITH:
             remedy = f"lower its allowance of {allowed} to {number}" if number else "remove its allowance"
             lines.append(f"{package} has {counted(number)}; {remedy} in {ALLOWANCES}")
     return lines

@@ -73,7 +73,7 @@ def arithmetic_complaint() -> str:
     """One line about what this JAX computes wrongly and what to do; empty where it is right, or has no CPU backend."""
     import jax
 
-    platforms = jax.config.jax_platforms
+    platforms = jax.config.values["jax_platforms"]
     if platforms and "cpu" not in platforms.split(","):
         return ""
     random = np.random.default_rng(0)

@@ -48,7 +48,7 @@ def key(seed: int | Array) -> jax.Array:
 
 def wrap_key_data(data: Array, impl: str = IMPLEMENTATION) -> jax.Array:
     """The typed key of its `key_data`."""
-    return jax.random.wrap_key_data(data, impl=impl)
+    return jax.random.wrap_key_data(jnp.asarray(data), impl=impl)
 
 
 def split(key: jax.Array, num: int = 2) -> jax.Array:

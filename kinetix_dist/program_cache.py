@@ -131,11 +131,11 @@ def compile_seconds() -> float:
     return _compile_seconds[0] if _compile_seconds else 0.0
 
 
-def _add_compile_event(event: str, duration: float, **details: object) -> None:
+def _add_compile_event(event: str, duration_secs: float, **details: object) -> None:
     del details
     if event.startswith("/jax/core/compile/") and event.endswith(_COMPILE_EVENTS):
         with _compile_lock:
-            _compile_seconds[0] += duration
+            _compile_seconds[0] += duration_secs
 
 
 # --- Files in folders of that cache
@@ -149,7 +149,8 @@ def cached_file(kind: str, key: str, make: Callable[[], bytes]) -> bytes:
     """
     import jax
 
-    folder = jax.config.jax_compilation_cache_dir if jax.config.jax_enable_compilation_cache else None
+    settings = jax.config.values
+    folder = settings["jax_compilation_cache_dir"] if settings["jax_enable_compilation_cache"] else None
     if not folder:
         return make()
     digest = hashlib.sha256(key.encode()).hexdigest()

@@ -131,15 +131,17 @@ def _runner(options: Options, size: str, levels: Any, observation: str) -> Calla
 
         return jax.lax.scan(step, (state, obs, observe(obs)), prng.split(key, options.steps))[0]
 
-    now = [*env.reset(prepared), prng.key(options.seed)]
+    state, obs = env.reset(prepared)
+    key = prng.key(options.seed)
 
     compute_time = compute_clock(jax.devices()[0])
 
     def run() -> Seconds:
-        now[2], key = prng.split(now[2])
-        jax.block_until_ready(key)
+        nonlocal state, obs, key
+        key, play_key = prng.split(key)
+        jax.block_until_ready(play_key)
         started, computed = time.perf_counter(), compute_time()
-        now[0], now[1], _ = jax.block_until_ready(play(now[0], now[1], key))
+        state, obs, _ = jax.block_until_ready(play(state, obs, play_key))
         return Seconds(time.perf_counter() - started, compute_time() - computed)
 
     run()  # compiles

@@ -247,8 +247,10 @@ def _load_arrays(path: Path) -> dict[str, np.ndarray]:
 
     checkpointer = ocp.PyTreeCheckpointer()
     with _without_patterns(path) as plain:
-        names = checkpointer.metadata(plain).item_metadata.tree
-        as_numpy = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in names}
+        metadata = checkpointer.metadata(plain).item_metadata
+        if metadata is None:
+            raise CheckpointError(f"checkpoint {path.parent} has no metadata of its arrays")
+        as_numpy = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in metadata.tree}
         return dict(checkpointer.restore(plain, restore_args=as_numpy))
 
 

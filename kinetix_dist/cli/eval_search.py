@@ -89,7 +89,7 @@ def searched_table(rates: SearchRates, base_levels: Sequence[str]) -> str:
     """Each level (up to MAX_ROWS of them), then the rates."""
     levels = rates.to_dict(base_levels)["levels"]
     header = ("level", "policy alone", "with search", "found after", "by", "steps", "robust", "perturbed starts")
-    rows = [header]
+    rows: list[tuple[str, ...]] = [header]
     for level in levels[:MAX_ROWS]:
         seconds, starts = level["found_after_seconds"], level["perturbed_starts"]
         rows.append(

@@ -109,7 +109,7 @@ def _policy_config(path: Path, legacy_entity_id: bool | None) -> PolicyConfig:
     for name, wanted in _FIXED.items():
         if name in model and model[name] != wanted:
             raise UserError(f"{path}: {name} is {model[name]!r}; only policies with {wanted!r} can be imported")
-    sizes: dict[str, int] = {}
+    sizes: dict[str, Any] = {}  # of JSON: checked by PolicyConfig
     for name, field in _SIZES.items():
         if name in model and sizes.setdefault(field, model[name]) != model[name]:
             raise UserError(f"{path}: {name} is {model[name]!r}, but actor and critic of one size can be imported only")

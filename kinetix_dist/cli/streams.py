@@ -65,18 +65,18 @@ def say(text: str, stream: TextIO) -> None:
     """Writes lines to a standard stream. Text that a full pipe does not take within PATIENCE_S is left out."""
     try:
         number = stream.fileno()
-        is_pipe = not stream.isatty()
-    except (OSError, ValueError):  # no file, but what collects text
-        is_pipe = False
-    if not is_pipe:
+        pipe = None if stream.isatty() else number
+    except (OSError, ValueError):  # no file: an object that collects text
+        pipe = None
+    if pipe is None:
         print(text, file=stream, flush=True)
         return
     content = f"{text}\n".encode(stream.encoding or "utf-8", errors="replace")
     with contextlib.suppress(OSError):  # the reader is gone, or the disk is full
-        if _is_writable(number, PATIENCE_S):
+        if _is_writable(pipe, PATIENCE_S):
             stream.flush()
-        while content and _is_writable(number, PATIENCE_S):
-            content = content[os.write(number, content[:_CHUNK_BYTES]) :]
+        while content and _is_writable(pipe, PATIENCE_S):
+            content = content[os.write(pipe, content[:_CHUNK_BYTES]) :]
 
 
 def exit_now_if_blocked(status: int) -> None:

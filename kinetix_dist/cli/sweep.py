@@ -75,7 +75,7 @@ def _print_plan(
     screen = console()
     screen.print(arms_table(design, runs))
     if design.factorial is not None:
-        print_aliases(screen, design)
+        print_aliases(screen, design.factorial)
     sets = ", ".join(f"{name} x {weight:g}" for name, weight in design.objective.sets.items())
     done = done_so_far(path, runs)
     minutes = predicted_seconds(design, list(done.values()), len(slots)) / 60

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 
     from kinetix_dist.sweep.arms import Run
     from kinetix_dist.sweep.design import Design
+    from kinetix_dist.sweep.factorial import Factorial
 
 WIDTH = 120  # columns of tables that go to a file
 
@@ -47,10 +48,10 @@ def _level(factor: Any, sign: int) -> str:
     return " ".join(str(value) for value in (factor.high if sign > 0 else factor.low).values())
 
 
-def print_aliases(console: Console, design: Design) -> None:
+def print_aliases(console: Console, factorial: Factorial) -> None:
     from kinetix_dist.sweep.factorial import two_level_design
 
-    plan = two_level_design(design.factorial)
+    plan = two_level_design(factorial)
     numerals = {3: "III", 4: "IV", 5: "V"}
     if plan.resolution is None:
         console.print("full design: no main effect is aliased with an interaction", highlight=False)

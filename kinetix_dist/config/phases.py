@@ -19,7 +19,7 @@ import bisect
 import dataclasses
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar, get_type_hints
+from typing import Any, ClassVar, Generic, Protocol, TypeVar, get_type_hints
 
 from kinetix_dist.config.plain import build, flat, to_dict
 from kinetix_dist.near_names import did_you_mean
@@ -68,6 +68,8 @@ class _Rollout(Protocol):
 
 class PhasedConfig(Protocol):
     """Part of a `TrainConfig` that phases need; a dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
 
     @property
     def phases(self) -> tuple[PhaseConfig, ...]: ...

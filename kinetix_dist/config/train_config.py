@@ -191,7 +191,7 @@ def numbers_of(config: TrainConfig) -> dict[str, Any]:
     counted["env"] = _before_rewards(counted["env"], usual=to_dict(EnvConfig()))
     phases = numbers_of_phases(config.schedule, config.phases)
     counted["phases"] = [_before_rewards(phase, usual=UNCHANGED) for phase in phases]
-    run = {"seed": config.run.seed, "policy_lag": config.run.policy_lag}
+    run: dict[str, Any] = {"seed": config.run.seed, "policy_lag": config.run.policy_lag}
     run |= {"start_from": config.run.start_from, "start_optimizer": config.run.start_optimizer}
     if config.run.imitation_steps:
         run["imitation_steps"] = config.run.imitation_steps

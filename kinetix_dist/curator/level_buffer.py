@@ -136,7 +136,7 @@ def refresh_log(parts: Sequence[Scored], size: int, min_finished: int = 0) -> di
         for name in ("solved", "finished")
     }
     return {
-        "policy_version": np.int32(buffer.policy_version),
+        "policy_version": np.asarray(buffer.policy_version, np.int32),
         "score": buffer.score,
         "solved": buffer.num_solved,
         "finished": buffer.num_finished,

@@ -166,7 +166,7 @@ def buffer_log(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     slot = np.flatnonzero(state["born"] != NEVER)
     levels = {path: array[slot] for path, array in select_arrays(state, "levels").items()}
     return {
-        "policy_version": np.int32(state["num_updates"]),
+        "policy_version": np.asarray(state["num_updates"], np.int32),
         "slot": slot.astype(np.int32),
         **{name: state[name][slot] for name in ("score", "best_return", "born", "last_played")},
         "features": features_of_arrays(levels),

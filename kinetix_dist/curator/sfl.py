@@ -134,8 +134,8 @@ class Sfl(Curriculum):
 
         # All devices get work before any is waited for.
         levels, *counts = zip(*(score(index, batch) for index, batch in enumerate(batches)), strict=True)
-        counts.append([self._features(batch) for batch in levels])
-        num_solved, num_finished, features = (np.concatenate(jax.device_get(count)) for count in counts)
+        columns = (*counts, [self._features(batch) for batch in levels])
+        num_solved, num_finished, features = (np.concatenate(jax.device_get(column)) for column in columns)
         one_batch = np.arange(config.scoring_batch)
         number = np.concatenate([batch * config.scoring_batch + one_batch for batch in batches])
         return scored(
@@ -171,7 +171,7 @@ class Sfl(Curriculum):
         """Outcomes of the probe's levels, played by the new policy as candidates are."""
         outcome = self._play(params, probe.levels, key, self.tools.config.scoring_steps)
         return {
-            "policy_version": np.int32(probe.policy_version),
+            "policy_version": np.asarray(probe.policy_version, np.int32),
             "index": probe.index,
             "solved": np.asarray(outcome.num_solved),
             "finished": np.asarray(outcome.num_finished),

@@ -216,9 +216,11 @@ class SflSlices(Curriculum):
         slot_of = np.full(len(candidate), -1)  # of a candidate among the finalists
         finalists_of_all = np.concatenate([index * batch_size + each.finalists for index, each in enumerate(tried)])
         slot_of[finalists_of_all] = np.arange(len(finalists_of_all))
-        counts = (np.concatenate([getattr(each, name) for each in tried]) for name in ("num_solved", "num_attempts"))
+        num_solved, num_attempts = (
+            np.concatenate([getattr(each, name) for each in tried]) for name in ("num_solved", "num_attempts")
+        )
         return scored(
-            Candidates(candidate, *counts, np.concatenate(features)),
+            Candidates(candidate, num_solved, num_attempts, np.concatenate(features)),
             lambda index: jax.tree.map(lambda *xs: np.concatenate(xs)[slot_of[index]], *finalists),
             size=num_slices * config.slices.slice_size,
             policy_version=policy_version,
@@ -248,7 +250,7 @@ class SflSlices(Curriculum):
         levels = select_arrays(state, "levels")
         solved, finished = state["num_solved"], state["num_finished"]
         return {
-            "policy_version": np.int32(state["num_updates"]),
+            "policy_version": np.asarray(state["num_updates"], np.int32),
             "slot": np.arange(len(solved), dtype=np.int32),
             "score": learnability(solved.astype(np.float32), finished.astype(np.float32)),
             "solved": solved,

@@ -105,14 +105,18 @@ def with_slice(buffer: SliceBuffer, new: LevelBuffer) -> SliceBuffer:
         changed[slot] = values
         return changed
 
-    zeroed = ("status", "num_plays", "window_solved", "window_plays", "last_solved", "last_plays")
     return dataclasses.replace(
         buffer,
         levels=jax.tree.map(put, buffer.levels, new.levels),
         num_solved=put(buffer.num_solved, new.num_solved),
         num_finished=put(buffer.num_finished, new.num_finished),
         policy_version=put(buffer.policy_version, new.policy_version),
-        **{name: put(getattr(buffer, name), 0) for name in zeroed},
+        status=put(buffer.status, 0),
+        num_plays=put(buffer.num_plays, 0),
+        window_solved=put(buffer.window_solved, 0),
+        window_plays=put(buffer.window_plays, 0),
+        last_solved=put(buffer.last_solved, 0),
+        last_plays=put(buffer.last_plays, 0),
         num_mastered=np.int32(buffer.num_mastered + (status == MASTERED).sum()),
         num_out_of_reach=np.int32(buffer.num_out_of_reach + (status == OUT_OF_REACH).sum()),
         num_replaced=np.int32(buffer.num_replaced + size),

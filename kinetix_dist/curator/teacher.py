@@ -7,7 +7,7 @@ learn   that trajectory, a reward each -> the next state: PPO, the reward comes 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -63,7 +63,7 @@ class LevelBuilder:
 
         def step(building: Construction, number: Array) -> tuple[Construction, Trajectory]:
             obs = self._observe(building, number, noise)
-            outputs, value = self.policy.apply(params, obs)
+            outputs, value = cast("tuple[tuple[Array, ...], Array]", self.policy.apply(params, obs))
             draws = _uniforms(step_key, number, len(HEADS) + NUM_DRAWS)
             actions, log_prob = self.distribution.sample(outputs, draws[:, : len(HEADS)])
             taken = Trajectory(

@@ -80,7 +80,7 @@ def encode_levels(levels: Levels) -> bytes:
     arrays |= {f"static_obs/{name}": array for name, array in flatten_arrays(levels.static_obs).items()}
     arrays |= {"robot_mask": levels.robot_mask, "bound_heads": levels.bound_heads, "names": np.array(levels.names)}
     content = io.BytesIO()
-    np.savez_compressed(content, **arrays)
+    np.savez_compressed(content, allow_pickle=False, **arrays)
     return content.getvalue()
 
 

@@ -61,6 +61,8 @@ def export_minari(
             for block in _blocks(dataset.read([number])):
                 target = _add(target, dataset, env, dataset_id, block)
             on_shard(number + 1, len(dataset.shards))
+        if target is None:
+            raise DatasetError("the data set holds no steps; there is nothing to export")
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

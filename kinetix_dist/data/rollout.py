@@ -142,7 +142,7 @@ def _uniform_log_prob(space: ActionSpace, bound: Array | None, num_worlds: int) 
     """[W]: logarithm of the probability, or of the density, of any action of the space."""
     each = [-math.log(high - low + space.is_integer) for low, high in zip(space.low, space.high)]
     counted = np.ones((num_worlds, len(each)), bool) if bound is None else bound
-    return jnp.sum(jnp.where(counted, np.float32(each), 0.0), axis=-1)
+    return jnp.sum(jnp.where(counted, np.asarray(each, np.float32), 0.0), axis=-1)
 
 
 def _disturb(

@@ -104,12 +104,12 @@ class ChunkPolicy:
 
     def actions(self, chunk: Array) -> Array:
         """Actions [..., A] of chunks in -1..1; what lies beyond acts as the end."""
-        low, high = np.float32(self.space.low), np.float32(self.space.high)
+        low, high = np.asarray(self.space.low, np.float32), np.asarray(self.space.high, np.float32)
         return jnp.clip(low + 0.5 * (chunk + 1.0) * (high - low), low, high)
 
     def units(self, actions: Array) -> Array:
         """The inverse: actions [..., A] in -1..1."""
-        low, high = np.float32(self.space.low), np.float32(self.space.high)
+        low, high = np.asarray(self.space.low, np.float32), np.asarray(self.space.high, np.float32)
         return 2.0 * (actions - low) / (high - low) - 1.0
 
 

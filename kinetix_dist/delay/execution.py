@@ -194,4 +194,4 @@ class _Worlds:
             return prng.normal(prng.fold_in(prng.fold_in(key, NOISE_STREAM), number), actions.shape[1:])
 
         noisy = actions + self.action_noise * jax.vmap(noise)(self.keys)
-        return jnp.clip(noisy, np.float32(space.low), np.float32(space.high))
+        return jnp.clip(noisy, np.asarray(space.low, np.float32), np.asarray(space.high, np.float32))

@@ -110,7 +110,7 @@ class SolveRates:
 
     def to_dict(self, *, per_level: bool = True) -> dict[str, Any]:
         """Values for JSON: {"rate", "attempts", "low", "high", ..., "levels": [{"name", "rate", ...}, ...]}."""
-        content = dataclasses.asdict(self.total)
+        content: dict[str, Any] = dataclasses.asdict(self.total)
         del content["name"]
         content["worst_tenth"] = self.worst_tenth
         content["best_of"] = {str(k): share for k, share in self.best_of.items()}

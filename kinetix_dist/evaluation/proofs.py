@@ -25,7 +25,7 @@ def replay(env: Environment, levels: Sequence[Level], proofs: Sequence[Proof]) -
     actions = np.tile(actions, (env.config.max_steps, 1, 1))
     for world, proof in enumerate(proofs):
         actions[: proof.num_steps, world] = proof.actions
-    return record_actions(env, stack_worlds(levels), actions, names=[proof.level for proof in proofs])
+    return record_actions(env, stack_worlds(list(levels)), actions, names=[proof.level for proof in proofs])
 
 
 def fault_of_replay(proof: Proof, rollout: Rollout) -> str | None:

@@ -13,7 +13,7 @@ import functools
 import json
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import jax
 import jax.numpy as jnp
@@ -167,19 +167,35 @@ def _step_seen(
     return env_state, obs, {**bodies, **commands, **ended, "reward": reward}
 
 
-def _trajectory(level: Level, world: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+class _Arrays(TypedDict):
+    """The arrays of a Rollout."""
+
+    position: np.ndarray
+    angle: np.ndarray
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+    actions: np.ndarray
+    motor: np.ndarray
+    thruster: np.ndarray
+    reward: np.ndarray
+
+
+def _trajectory(level: Level, world: dict[str, np.ndarray]) -> _Arrays:
     """The arrays of a Rollout, slots in the order of the level format: what is not there comes last of its kind."""
     active = np.asarray(level.scene.shapes.active)
     num_polygons = np.shape(level.scene.shapes.vertices)[0]
     shapes = np.concatenate([_active_first(active[:num_polygons]), num_polygons + _active_first(active[num_polygons:])])
     joints = _active_first(np.asarray(level.scene.joints.active))
     thrusters = _active_first(np.asarray(level.scene.thrusters.active))
-    states = {
-        name: np.concatenate([np.asarray(getattr(level, name), np.float32)[None], world[name]])[:, shapes]
-        for name in ("position", "angle", "velocity", "angular_velocity")
-    }
+
+    def states(name: str) -> np.ndarray:
+        return np.concatenate([np.asarray(getattr(level, name), np.float32)[None], world[name]])[:, shapes]
+
     return {
-        **states,
+        "position": states("position"),
+        "angle": states("angle"),
+        "velocity": states("velocity"),
+        "angular_velocity": states("angular_velocity"),
         "actions": world["actions"].reshape(len(world["actions"]), -1).astype(np.float32),
         "motor": world["motor"][:, joints],
         "thruster": world["thruster"][:, thrusters],

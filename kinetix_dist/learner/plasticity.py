@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypedDict
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +51,13 @@ class PlasticityConfig:
         return self.every > 0 and num_updates % self.every == 0
 
 
+class _Memory(TypedDict, total=False):
+    """Arguments of a network with a memory besides observations."""
+
+    is_first: Array  # [steps, worlds]
+    memory: Array  # [worlds, size], before the first step
+
+
 Measure = Callable[[Any, StaticInput, Trajectory], dict[str, Array]]
 
 
@@ -67,10 +74,10 @@ def make_measure(policy: nn.Module, observation: Observation, mesh: Mesh, *, div
         steps, worlds = _places(num_steps, num_worlds, division, whole_worlds=has_memory(policy))
         dynamic = jax.tree.map(lambda x: x[steps, worlds], trajectory.dynamic_obs)
         obs = observation.join(jax.tree.map(lambda x: x[worlds], static.obs), dynamic)
-        memory = {}
+        memory: _Memory = {}
         if has_memory(policy):
             is_first = jnp.roll(trajectory.done_after, 1, axis=0).at[0].set(static.memory is None)
-            memory = {"is_first": is_first[steps, worlds].reshape(num_steps, -1)}
+            memory["is_first"] = is_first[steps, worlds].reshape(num_steps, -1)
             if static.memory is not None:
                 memory["memory"] = static.memory[worlds[: worlds.size // num_steps]]
         _, noted = policy.apply(params, obs, mutable=list(COLLECTIONS), **memory)

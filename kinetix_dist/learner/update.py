@@ -19,7 +19,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -56,6 +56,18 @@ CACHE = "updates"  # folder in the program cache
 Update = Callable[[LearnerState, StaticInput, Trajectory, Array], tuple[LearnerState, dict[str, Array]]]
 
 
+class JitUpdate(Protocol):
+    """An `Update` that is compiled when it is called, or by `lower(...).compile()`."""
+
+    def __call__(
+        self, state: LearnerState, static: StaticInput, trajectory: Trajectory, last_value: Array, /
+    ) -> tuple[LearnerState, dict[str, Array]]: ...
+
+    def lower(
+        self, state: LearnerState, static: StaticInput, trajectory: Trajectory, last_value: Array, /
+    ) -> jax.stages.Lowered: ...
+
+
 @dataclasses.dataclass(frozen=True)
 class _Program:
     """Settings that an update is compiled for."""
@@ -85,7 +97,7 @@ def make_update(
     mesh: Mesh,
     *,
     division: Division | None = None,
-) -> Update:
+) -> JitUpdate:
     """A compiled update(learner_state, static, trajectory, last_value) -> (learner_state, metrics), once a process for
     equal arguments, which are hashable.
 

@@ -58,9 +58,9 @@ def level_to_json(level: Level, info: LevelInfo | None = None) -> dict[str, Any]
     walls = {name: wall for name, wall in walls.items() if wall}
     if walls:
         document["walls"] = walls
-    active = np.flatnonzero(scene.shapes.active)
+    active = np.flatnonzero(scene.shapes.active).tolist()
     document["shapes"] = [_shape_document(level, slot, names[slot]) for slot in active if slot >= NUM_WALLS]
-    document["joints"] = [_joint_document(level, slot, names) for slot in np.flatnonzero(scene.joints.active)]
+    document["joints"] = [_joint_document(level, slot, names) for slot in np.flatnonzero(scene.joints.active).tolist()]
     document["thrusters"] = [
         {
             "shape": names[scene.thrusters.body[slot]],

@@ -150,7 +150,7 @@ def _in_slots(level: Level, have: Capacity, capacity: Capacity, slots: Mapping[s
         for axis, letter in letters:
             source = taken_from[letter]
             values = arrays.take(values, np.maximum(source, 0), axis=num_leading + axis)
-            is_taken &= np.expand_dims(source != _NOTHING, [i for i in range(empty.ndim) if i != axis])
+            is_taken &= np.expand_dims(source != _NOTHING, tuple(i for i in range(empty.ndim) if i != axis))
         return arrays.where(is_taken, values, empty)
 
     return make(Level, placed)

@@ -14,6 +14,7 @@ import functools
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -60,7 +61,7 @@ def read_frontier_sets(file: Path) -> dict[str, FrontierSet]:
     """The sets of a file, by size. Raises OSError and ValueError."""
     sets = {}
     for size, content in read_json(file).items():
-        fields = {name: tuple(value) if isinstance(value, list) else value for name, value in content.items()}
+        fields: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in content.items()}
         sets[size] = FrontierSet(size=size, **fields)
     return sets
 

@@ -45,7 +45,8 @@ class PublicWalls:
     @classmethod
     def from_json(cls, fields: Mapping[str, Any]) -> PublicWalls:
         """Walls of the field `public_walls` of a valid level document."""
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
+        own: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in fields.items()}
+        return cls(**own)
 
     def to_json(self) -> dict[str, Any]:
         """Fields that differ from the usual box; empty for that box."""

@@ -97,8 +97,9 @@ def document_info(document: dict[str, Any]) -> LevelInfo:
     """Name, size and description of a level, of its valid document."""
     names = [field.name for field in dataclasses.fields(LevelInfo)]
     given = {name: document[name] for name in names if name in document}
-    made = {"tags": tuple(given.get("tags", ())), "public_walls": PublicWalls.from_json(given.get("public_walls", {}))}
-    return LevelInfo(**given | made)
+    given["tags"] = tuple(given.get("tags", ()))
+    given["public_walls"] = PublicWalls.from_json(given.get("public_walls", {}))
+    return LevelInfo(**given)
 
 
 def _assemble(document: dict[str, Any], capacity: Capacity) -> tuple[Level, np.ndarray]:

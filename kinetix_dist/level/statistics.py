@@ -129,7 +129,7 @@ def _compare_shares(name: str, ours: float, num_ours: int, theirs: float, num_th
     return Comparison(name=name, ours=ours, theirs=theirs, deviation=abs(ours - theirs) / error)
 
 
-def _share(hits: np.ndarray) -> Share:
+def _share(hits: np.ndarray | np.bool) -> Share:
     return Share(hits=int(np.sum(hits)), total=int(np.size(hits)))
 
 

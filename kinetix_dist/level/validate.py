@@ -182,12 +182,12 @@ def _joint_problems(
 
 def _gap_problems(joint: dict[str, Any], path: str, shapes: dict[str, dict[str, Any]]) -> Iterator[LevelFormatError]:
     """The two anchors of a joint must not be far apart; those of a slider may be, along its axis."""
-    frames = [_frame(joint[end], shapes) for end in ("a", "b")]
-    if frames[0] is None or frames[1] is None:
+    frame_a, frame_b = (_frame(joint[end], shapes) for end in ("a", "b"))
+    if frame_a is None or frame_b is None:
         return  # a missing or faulty shape is reported already
-    at_a, at_b = (_in_world(frame, joint[f"anchor_{end}"]) for frame, end in zip(frames, ("a", "b")))
+    at_a, at_b = _in_world(frame_a, joint["anchor_a"]), _in_world(frame_b, joint["anchor_b"])
     gap = (at_b[0] - at_a[0], at_b[1] - at_a[1])
-    axis = frames[0][2] + joint["axis"] if "axis" in joint else None
+    axis = frame_a[2] + joint["axis"] if "axis" in joint else None
     apart = math.hypot(*gap) if axis is None else abs(math.cos(axis) * gap[1] - math.sin(axis) * gap[0])
     if apart > MAX_ANCHOR_GAP_M:
         across = "" if axis is None else " across its axis"

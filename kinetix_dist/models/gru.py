@@ -18,6 +18,7 @@ for playing; they take policies without memory too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -75,7 +76,9 @@ def _orthogonal_gates(key: Array, shape: tuple[int, int], dtype: Any = jnp.float
     return jnp.concatenate(list(parts), axis=1)
 
 
-def apply_towers(towers: nn.Module, embedding: Array, memory: Array | None, is_first: Array | None, size: int) -> Any:
+def apply_towers(
+    towers: Callable[..., Any], embedding: Array, memory: Array | None, is_first: Array | None, size: int
+) -> Any:
     """Outputs of a network for its embedding: (outputs, value), and after one step the next memory where one was given.
 
     size: of the memory; 0: none. Towers without heads: the embedding itself, as `make_encoder` has it. Called inside of

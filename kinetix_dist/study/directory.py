@@ -15,7 +15,6 @@ from kinetix_dist.sweep.run_loop import Callbacks, Goal, Named, RunLoop, RunsFai
 from kinetix_dist.sweep.slots import Slot
 
 RESULTS = "study.json"
-Run = TypeVar("Run", bound=Named, covariant=True)
 
 
 class Described(Protocol):
@@ -25,7 +24,7 @@ class Described(Protocol):
     def name(self) -> str: ...
 
 
-class PlanOf(Protocol[Run]):
+class PlanOf(Protocol):
     """Runs of a study and those to be run now."""
 
     @property
@@ -35,10 +34,10 @@ class PlanOf(Protocol[Run]):
     def hash(self) -> str: ...
 
     @property
-    def chosen(self) -> tuple[Run, ...]: ...
+    def chosen(self) -> tuple[Named, ...]: ...
 
 
-AnyPlan = TypeVar("AnyPlan", bound=PlanOf[Any])
+AnyPlan = TypeVar("AnyPlan", bound=PlanOf)
 
 
 class StudyDirectory(abc.ABC, Generic[AnyPlan]):

@@ -159,8 +159,10 @@ def _difference(records: Sequence[Record], reference: Sequence[Record], rates: R
     if interval is not None:
         low, high = interval
         return Estimate(value=value, low=low, high=high, over=OVER_SEEDS, welch=welch_interval(ours, theirs))
-    by_level = [np.mean([rates(record) for record in each], axis=0).tolist() for each in (records, reference)]
-    found = difference_over_levels(*by_level, records[0].base_levels)
+    ours_by_level, theirs_by_level = (
+        np.mean([rates(record) for record in each], axis=0).tolist() for each in (records, reference)
+    )
+    found = difference_over_levels(ours_by_level, theirs_by_level, records[0].base_levels)
     if found is None:
         return Estimate(value=value, low=None, high=None, over=NO_INTERVAL)
     return Estimate(value=value, low=found[1], high=found[2], over=OVER_LEVELS)

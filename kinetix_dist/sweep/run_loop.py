@@ -49,15 +49,15 @@ AnyRun = TypeVar("AnyRun", bound=Named, contravariant=True)
 class Work(Protocol[AnyRun]):
     """Processes of runs."""
 
-    def command(self, run: AnyRun) -> tuple[list[str], bool]:
+    def command(self, run: AnyRun, /) -> tuple[list[str], bool]:
         """Words of `kinetix-dist`, and whether a run goes on that was begun before."""
         ...
 
-    def seconds_to_stop(self, run: AnyRun) -> float:
+    def seconds_to_stop(self, run: AnyRun, /) -> float:
         """Seconds after SIGTERM in which its process has ended."""
         ...
 
-    def ended(self, run: AnyRun, status: int) -> str:
+    def ended(self, run: AnyRun, /, status: int) -> str:
         """Notes that its process has ended; why its files are none of this run, "" where they are."""
         ...
 
@@ -65,19 +65,19 @@ class Work(Protocol[AnyRun]):
 class Goal(Protocol[AnyRun]):
     """Condition that each run has to meet."""
 
-    def is_reached(self, run: AnyRun) -> bool:
+    def is_reached(self, run: AnyRun, /) -> bool:
         """True where the files of a run have all that is needed."""
         ...
 
-    def must_end(self, run: AnyRun) -> bool:
+    def must_end(self, run: AnyRun, /) -> bool:
         """True where a run that still goes on is to be stopped, be the goal reached or out of reach."""
         ...
 
-    def why_out_of_reach(self, run: AnyRun) -> str:
+    def why_out_of_reach(self, run: AnyRun, /) -> str:
         """Clause about a run that had to end without reaching the goal."""
         ...
 
-    def result(self, run: AnyRun) -> str:
+    def result(self, run: AnyRun, /) -> str:
         """Clause about a run that reached it."""
         ...
 
@@ -88,7 +88,7 @@ class Callbacks:
 
     report: Callable[[str], None]  # of a line
     must_stop: Callable[[], str | None]  # why it is to end now; None: it goes on
-    after_run: Callable[[], None] = lambda: None  # a run has reached its goal
+    after_run: Callable[[], object] = lambda: None  # a run has reached its goal
 
 
 @dataclasses.dataclass

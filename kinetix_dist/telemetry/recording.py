@@ -18,13 +18,21 @@ OUTCOMES = ("solved", "failed", "unstable", "out of time", "cut")
 
 
 class RecordedLevel(Protocol):
-    """Level as a replay needs it: bodies, and who plays which role."""
+    """Level as a replay needs it: bodies, where they start, and who plays which role."""
 
     @property
     def scene(self) -> Scene: ...
 
     @property
     def shape_role(self) -> Any:  # [n] int
+        ...
+
+    @property
+    def position(self) -> Any:  # [n, 2] m, at the start
+        ...
+
+    @property
+    def angle(self) -> Any:  # [n] rad
         ...
 
 

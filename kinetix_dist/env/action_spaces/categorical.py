@@ -62,7 +62,10 @@ class OneCategorical:
 
     num_choices: int  # at most 127
     stored_dtype: ClassVar[Any] = jnp.int8
-    num_uniforms: ClassVar[int] = 1
+
+    @property
+    def num_uniforms(self) -> int:
+        return 1
 
     @property
     def head_sizes(self) -> tuple[int]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -26,9 +26,17 @@ class ActionDistribution(Protocol):
     None: all do. It is given only where the space has `bound_heads`.
     """
 
-    head_sizes: tuple[int, ...]  # k of each output of the policy
-    num_uniforms: int  # random numbers that a sample takes
-    stored_dtype: Any  # in which trajectories keep actions
+    stored_dtype: ClassVar[Any]  # in which trajectories keep actions
+
+    @property
+    def head_sizes(self) -> tuple[int, ...]:
+        """k of each output of the policy."""
+        ...
+
+    @property
+    def num_uniforms(self) -> int:
+        """Random numbers that a sample takes."""
+        ...
 
     def sample(self, outputs: tuple[Array, ...], uniforms: Array, *, bound: Array | None = None) -> tuple[Array, Array]:
         """(actions, their log-probability [...]) from uniform numbers [..., num_uniforms] in [0, 1)."""

@@ -52,7 +52,7 @@ class TruncatedNormal:
         share = _distribution(below) + uniforms * (_distribution(above) - _distribution(below))
         share = jnp.clip(share, _MIN_SHARE, 1 - _MIN_SHARE)
         actions = mean + spread * jax.scipy.special.ndtri(share)
-        actions = jnp.clip(actions, np.float32(self.low), np.float32(self.high))  # rounding
+        actions = jnp.clip(actions, *self._range())  # rounding
         return actions, self._log_prob(mean, spread, actions, bound)
 
     def log_prob_and_entropy(
@@ -73,15 +73,19 @@ class TruncatedNormal:
 
     def mean_and_spread(self, outputs: tuple[Array, ...]) -> tuple[Array, Array]:
         """Mean and spread before truncation, [..., n] each; outputs of 0 give the middle and half of half the range."""
-        low, high = np.float32(self.low), np.float32(self.high)
+        low, high = self._range()
         half = 0.5 * (high - low)
         towards_end, width = (output.astype(jnp.float32) for output in outputs)
         exponent = math.log(MIN_SPREAD) + math.log(MAX_SPREAD / MIN_SPREAD) * jax.nn.sigmoid(width)
         return 0.5 * (low + high) + half * jnp.tanh(towards_end), half * jnp.exp(exponent)
 
+    def _range(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.asarray(self.low, np.float32), np.asarray(self.high, np.float32)
+
     def _ends(self, mean: Array, spread: Array) -> tuple[Array, Array]:
         """alpha and beta: how many spreads the ends of the range are from the mean."""
-        return (np.float32(self.low) - mean) / spread, (np.float32(self.high) - mean) / spread
+        low, high = self._range()
+        return (low - mean) / spread, (high - mean) / spread
 
     def _log_prob(self, mean: Array, spread: Array, actions: Array, bound: Array | None) -> Array:
         below, above = self._ends(mean, spread)

@@ -118,10 +118,10 @@ class KinetixVectorEnv(VectorEnv):
         if done.any():
             if self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP:
                 last = self._to_numpy(prepared, obs)
-                for world in np.flatnonzero(done):
+                for world in np.flatnonzero(done).tolist():
                     ended = {name: info[name][world] for name in INFO_FIELDS}
                     final = {"final_obs": one_of(last, world), "final_info": ended}
-                    infos = self._add_info(infos, final, int(world))
+                    infos = self._add_info(infos, final, world)
                 state, obs = self._restart(prepared, jnp.asarray(done), state, obs)
             else:
                 infos = info
@@ -217,7 +217,7 @@ def observation_space(env: Environment) -> spaces.Space:
 def action_space(space: ActionSpace) -> spaces.Space:
     """Space of one world."""
     if not space.is_integer:
-        return spaces.Box(np.float32(space.low), np.float32(space.high), dtype=np.float32)
+        return spaces.Box(np.asarray(space.low, np.float32), np.asarray(space.high, np.float32), dtype=np.float32)
     choices = np.asarray(space.high, np.int64) + 1
     return spaces.Discrete(int(choices[0])) if space.is_flat else spaces.MultiDiscrete(choices)
 

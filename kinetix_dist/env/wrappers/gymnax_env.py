@@ -92,7 +92,7 @@ class GymnaxEnv(environment.Environment):
         episode, obs, reward, done, info = self.env.transition(state.level, state.episode, actions)
         timed_out = info.timed_out[0]
         poses = self._poses(state.level, episode)
-        state = state.replace(episode=episode, poses=poses, time=episode.num_steps[0], timed_out=timed_out)
+        state = dataclasses.replace(state, episode=episode, poses=poses, time=episode.num_steps[0], timed_out=timed_out)
         infos = {name: value[0] for name, value in vars(info).items()}
         infos["discount"] = 1.0 - (done[0] & ~timed_out).astype(jnp.float32)
         return self._joined(state.level, obs), state, reward[0], done[0] & ~timed_out, infos

@@ -156,9 +156,12 @@ class KinetixEnv(GymnaxEnv):
     def _start(self, key: Array, given: Level | KinetixState | None) -> tuple[Any, KinetixState]:
         if isinstance(given, KinetixState):
             return self._joined(given.level, self.env.obs_of_start(given.level, given.episode)), given
-        if given is None and self._reset_fn is None:
+        if given is not None:
+            source = given
+        elif self._reset_fn is not None:
+            source = self._reset_fn(key)
+        else:
             raise ValueError("this environment has no reset_fn; give a level or a state as override_reset_state")
-        source = given if given is not None or self._reset_fn is None else self._reset_fn(key)
         level = self.env.prepare(jax.tree.map(lambda x: jnp.asarray(x)[None], source))
         obs, state = self.first(level, *self.env.reset(level))
         return obs, KinetixState(**vars(state), source=source)

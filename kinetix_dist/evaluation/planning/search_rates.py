@@ -141,10 +141,10 @@ def search_rates(
     none = [dataclasses.replace(plan, actions=None) for plan in plans]
     alone = execute(planner, player, (levels, levels), none, left, key)
     planned = execute(planner, player, (levels, levels), plans, left, key)
-    parts, starts = [planned], None
+    parts, starts, replans = [planned], None, np.zeros((number, 0), int)
     if options.num_starts:
         moved = _from_perturbed_starts(planner, player, levels, plans, left, options.num_starts)
-        starts = _rates(names, moved.episodes)
+        starts, replans = _rates(names, moved.episodes), moved.num_replans.reshape(number, -1)
         parts.append(moved)
     return SearchRates(
         options=options,
@@ -152,7 +152,7 @@ def search_rates(
         rate=_rates(names, planned.episodes),
         starts=starts,
         plans=tuple(plans),
-        replans=np.zeros((number, 0), int) if starts is None else moved.num_replans.reshape(number, -1),
+        replans=replans,
         num_unconfirmed=sum(int((~part.was_confirmed).sum()) for part in parts),
         compile_seconds=compile_seconds,
         search_seconds=search_seconds,
@@ -167,7 +167,7 @@ def _from_perturbed_starts(
     planned = index_worlds(levels, index)
     start_key, act_key = prng.split(prng.fold_in(prng.key(planner.seed), STARTS))
     true = perturbed(planned, start_key)
-    return execute(planner, player, (planned, true), [plans[i] for i in index], left.take(index), act_key)
+    return execute(planner, player, (planned, true), [plans[i] for i in index.tolist()], left.take(index), act_key)
 
 
 def _rates(names: Sequence[str], episodes: Episodes) -> SolveRates:

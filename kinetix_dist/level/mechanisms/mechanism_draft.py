@@ -101,11 +101,13 @@ def _draft(table: Table, num_blocks: int | None, numbers: Array, capacity: Capac
     of_goal, of_way = draws_after(0, _NUM_GOAL_DRAWS), draws_after(_NUM_GOAL_DRAWS, num_way_draws)
     # Of a mechanism that stays in its place only the radius is drawn before the last ones.
     num_before = _NUM_GOAL_DRAWS + jnp.where(task.gap.is_given, num_way_draws, 0)
-    last = draws_after(jnp.where(task.middle.is_given, 0, num_before), _NUM_LAST_DRAWS + 3 * len(table.joints.a))
+    last = draws_after(
+        jnp.where(task.middle.is_given, 0, num_before), _NUM_LAST_DRAWS + 3 * np.shape(table.joints.a)[0]
+    )
     radius = task.goal_radius.or_else(of_goal.between(0.12, 0.28))
     table, goal = _with_goal(of_goal, of_way, table, num_blocks, radius)
     blue_is_fixed = last.chance(0.7) | task.middle.is_given
-    blue = Part(position=goal, half=task.slab.value, radius=radius, role=Role.BLUE, is_fixed=blue_is_fixed)
+    blue = Part(position=goal, half=task.slab.filled, radius=radius, role=Role.BLUE, is_fixed=blue_is_fixed)
     slab = dataclasses.replace(blue, active=task.goal_is_slab)
     # A disc in place of a slab is fixed in the air: one that fell would be behind the wall of a carrier.
     disc = dataclasses.replace(blue, active=~task.goal_is_slab, is_fixed=blue_is_fixed | task.slab.is_given)
@@ -126,13 +128,13 @@ def _with_goal(draws: Draws, way: Draws, table: Table, num_blocks: int | None, r
     width = highest[0] - lowest[0]
     left = WALL_MARGIN_M + draws.between(0.0, 0.5)
     nearest = left + width + GOAL_GAP_M
-    radius = jnp.where(task.goal_is_slab, task.slab.value[0], radius)
+    radius = jnp.where(task.goal_is_slab, task.slab.filled[0], radius)
     share = _to_power(draws.between(0.0, 1.0), task)
     goal_x = nearest + radius + share * (WORLD_SIZE_M - WALL_MARGIN_M - radius - (nearest + radius))
     rise = task.goal_rise_low + draws.between(0.0, 1.0) * task.goal_rise_span
     goal_y = FLOOR_TOP_M + CLEARANCE_M + radius + rise * (highest[1] - lowest[1])
     goal_y = task.goal_height.or_else(goal_y)
-    goal_y = jnp.where(task.goal_is_slab, FLOOR_TOP_M + CLEARANCE_M + task.slab.value[1], goal_y)
+    goal_y = jnp.where(task.goal_is_slab, FLOOR_TOP_M + CLEARANCE_M + task.slab.filled[1], goal_y)
     bump_half = jnp.stack([draws.between(0.03, 0.1), draws.between(0.02, 0.08)])
     obstacle_ends = jnp.stack([left + width, goal_x - radius]) + np.array([1.0, -1.0], np.float32) * (
         bump_half[0] + 0.03
@@ -148,8 +150,8 @@ def _with_goal(draws: Draws, way: Draws, table: Table, num_blocks: int | None, r
     obstacle_x = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_x, obstacle_x)
     obstacle_ends = jnp.where(is_mirrored, WORLD_SIZE_M - obstacle_ends[::-1], obstacle_ends)
     on_floor = jnp.stack([middle_x, FLOOR_TOP_M + CLEARANCE_M + task.height - lowest[1]])
-    table = table.moved(jnp.where(is_placed, task.middle.value, on_floor))
-    goal = jnp.where(is_placed, task.middle.value + task.goal, jnp.stack([goal_x, goal_y]))
+    table = table.moved(jnp.where(is_placed, task.middle.filled, on_floor))
+    goal = jnp.where(is_placed, task.middle.filled + task.goal, jnp.stack([goal_x, goal_y]))
     bump = Part(
         position=jnp.stack([obstacle_x, FLOOR_TOP_M + bump_half[1]]),
         half=bump_half,
@@ -161,7 +163,7 @@ def _with_goal(draws: Draws, way: Draws, table: Table, num_blocks: int | None, r
     has_way = task.gap.is_given & ~is_placed
     between = jnp.sort(jnp.stack([middle_x + 0.5 * (ends[0] + ends[1]), goal_x]))
     within = between + np.array([1.0, -1.0]) * (jnp.maximum(radius, 0.5 * width) + CLEARANCE_M)
-    some_pillars = pillars(way, task.gap.value, obstacle_x, obstacle_ends, bump_half[0])
+    some_pillars = pillars(way, task.gap.filled, obstacle_x, obstacle_ends, bump_half[0])
     is_pillars = way.chance(0.65)
     blocks = [block(way, within) for _ in range(num_blocks)]
     obstacles = either(has_way, either(is_pillars, some_pillars, blocks), [bump])
@@ -171,4 +173,4 @@ def _with_goal(draws: Draws, way: Draws, table: Table, num_blocks: int | None, r
 def _to_power(share: Array, task: Task) -> Array:
     """share ** goal_nearness; a power that is not drawn is multiplied out."""
     known = jax.lax.select_n(jnp.asarray(task.goal_nearness), jnp.ones((), jnp.float32), share, share**2, share**3)
-    return jnp.where(task.drawn_nearness.is_given, share**task.drawn_nearness.value, known)
+    return jnp.where(task.drawn_nearness.is_given, share**task.drawn_nearness.filled, known)

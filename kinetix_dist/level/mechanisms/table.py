@@ -60,7 +60,9 @@ class Table:
         boxes, circles = self.boxes, self.circles
         return extent_of(
             jnp.concatenate([boxes.position, circles.position]),
-            jnp.concatenate([reach_of_boxes(boxes.angle, boxes.half), reach_of_circles(circles.radius)]),
+            jnp.concatenate(
+                [reach_of_boxes(boxes.angle, boxes.half_of_box), reach_of_circles(circles.radius_of_circle)]
+            ),
             jnp.concatenate([boxes.active, circles.active]),
         )
 
@@ -107,7 +109,9 @@ def table_of(mechanism: Mechanism, num_draws: int, capacity: Capacity, num_joint
     for part in mechanism.parts:
         slots.append(next_slot[part.half is not None])
         next_slot[part.half is not None] += 1
-    joints = [dataclasses.replace(joint, a=slots[joint.a], b=slots[joint.b]) for joint in mechanism.joints]
+    joints = [
+        dataclasses.replace(joint, a=_slot_of(slots, joint.a), b=_slot_of(slots, joint.b)) for joint in mechanism.joints
+    ]
     thrusters = [dataclasses.replace(one, part=_slot_of(slots, one.part)) for one in mechanism.thrusters]
     return Table(
         boxes=_rows(Part, boxes, capacity.polygons - NUM_WALLS, without="radius"),
@@ -206,7 +210,7 @@ def with_circle(table: Table, part: Part) -> Table:
 
 
 def _with_rows(rows: Part, first: Array, parts: list[Part]) -> Part:
-    offset = jnp.arange(len(rows.active)) - first
+    offset = jnp.arange(np.shape(rows.active)[0]) - first
     is_active = functools.reduce(jnp.logical_or, [(offset == row) & part.active for row, part in enumerate(parts)])
 
     def with_column(name: str) -> Array:

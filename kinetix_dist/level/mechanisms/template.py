@@ -86,8 +86,14 @@ class Optional:
     value: Array | None
     is_given: Array | bool
 
+    @property
+    def filled(self) -> Array:
+        """The value in a table, which has one for every row, also for rows that leave it open."""
+        assert self.value is not None
+        return self.value
+
     def or_else(self, value: Any) -> Array:
-        return jnp.where(self.is_given, self.value, value)
+        return jnp.where(self.is_given, self.filled, value)
 
 
 def given(value: Any) -> Optional:
@@ -115,14 +121,26 @@ class Part:
     is_fixed: bool | Array = entry(FLAG, False)
     active: bool | Array = entry(FLAG, True)
 
+    @property
+    def half_of_box(self) -> Array:
+        """`half` of a box."""
+        assert self.half is not None
+        return self.half
+
+    @property
+    def radius_of_circle(self) -> Array:
+        """`radius` of a circle."""
+        assert self.radius is not None
+        return self.radius
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Joint:
     """A hinge or a weld of two parts. a, b: their indices in the list of parts; slots of shapes in a table."""
 
-    a: int = entry(COUNT)
-    b: int = entry(COUNT)
+    a: int | Array = entry(COUNT)
+    b: int | Array = entry(COUNT)
     at: Array = entry(POINT)  # [2] m, from the origin of the mechanism
     limit: Optional = entry(NUMBER, OPEN)  # rad, to both sides of the start or of `bend`
     bend: Array | float = entry(NUMBER, 0.0)  # rad, middle of the limits
@@ -210,9 +228,9 @@ def extent(parts: list[Part]) -> tuple[Array, Array]:
     reaches = []
     if boxes:
         angle = jnp.stack([jnp.asarray(box.angle, jnp.float32) for box in boxes])
-        reaches.append(reach_of_boxes(angle, jnp.stack([box.half for box in boxes])))
+        reaches.append(reach_of_boxes(angle, jnp.stack([box.half_of_box for box in boxes])))
     if circles:
-        reaches.append(reach_of_circles(jnp.stack([circle.radius for circle in circles])))
+        reaches.append(reach_of_circles(jnp.stack([circle.radius_of_circle for circle in circles])))
     position, active = (jnp.stack([getattr(part, name) for part in boxes + circles]) for name in ("position", "active"))
     return extent_of(position, jnp.concatenate(reaches), active)
 

@@ -53,7 +53,7 @@ def _of_slots(table: Table, name: str) -> Array:
 
 def _shape_rows(table: Table, capacity: Capacity) -> Shapes:
     is_polygon = np.arange(capacity.shapes) < capacity.polygons
-    half = jnp.pad(table.boxes.half, ((NUM_WALLS, capacity.circles), (0, 0)))[:, None]
+    half = jnp.pad(table.boxes.half_of_box, ((NUM_WALLS, capacity.circles), (0, 0)))[:, None]
     corners, _ = box_or_triangle(half, np.False_, capacity.vertices)
     return Shapes(
         active=_of_slots(table, "active"),
@@ -61,7 +61,7 @@ def _shape_rows(table: Table, capacity: Capacity) -> Shapes:
         angle=_of_slots(table, "angle"),
         vertices=corners,
         num_vertices=np.where(is_polygon, 4, 0),
-        radius=jnp.pad(table.circles.radius, (capacity.polygons, 0)),
+        radius=jnp.pad(table.circles.radius_of_circle, (capacity.polygons, 0)),
         role=_of_slots(table, "role"),
         is_fixed=_of_slots(table, "is_fixed"),
         body=np.arange(capacity.shapes),
@@ -72,7 +72,7 @@ def _shape_rows(table: Table, capacity: Capacity) -> Shapes:
 
 def _with_motors(draws: Draws, draft: Draft, table: Table, capacity: Capacity, config: GeneratorConfig) -> Draft:
     joints, task = table.joints, table.task
-    number = len(joints.active)
+    number = np.shape(joints.active)[0]
     if not number:
         return draft
     one_colour = draws.chance(0.5)
@@ -102,8 +102,8 @@ def _with_motors(draws: Draws, draft: Draft, table: Table, capacity: Capacity, c
         speed=jnp.where(task.has_full_motors, config.motor_speed_max, speed),
         power=task.motor_power.or_else(jnp.where(task.has_full_motors, strongest, power)),
         has_limits=joints.limit.is_given,
-        lower_limit=joints.bend - joints.limit.value,
-        upper_limit=joints.bend + joints.limit.value,
+        lower_limit=joints.bend - joints.limit.filled,
+        upper_limit=joints.bend + joints.limit.filled,
         colour=jnp.where(task.colours_in_turn, (first + turn) % NUM_MOTOR_COLOURS, colour),
     )
     rows = joint_row(ends, joints.is_weld, rest_angle, hinge)

@@ -38,7 +38,7 @@ class CudaKernel:
     macros: tuple[tuple[str, int], ...] = ()
 
 
-def call(kernel: CudaKernel, out: Sequence[jax.ShapeDtypeStruct], blocks: int, *operands: Array) -> list[Array]:
+def call(kernel: CudaKernel, out: Sequence[jax.ShapeDtypeStruct], blocks: int, *operands: Array) -> Sequence[Array]:
     """Results of `kernel` when `blocks` blocks of it run. Its parameters are the operands, then the results."""
     numbers = {"grid_x": blocks, "grid_y": 1, "grid_z": 1, "block_x": THREADS, "block_y": 1, "block_z": 1}
     numbers["shared_mem_bytes"] = _shared_bytes(kernel)

@@ -10,7 +10,7 @@ registers over all steps; a fourth loads. What the pairs found is added in a fix
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -85,7 +85,7 @@ def _body(*refs: Any, interpret: bool) -> None:
     is_of_y, pair = jax.lax.rem(block, 2) == 0, block // 2
     num_steps = (ref.x.shape[0] // ROWS - pair + PAIRS - 1) // PAIRS
 
-    def set_registers(number: int, action: str) -> None:
+    def set_registers(number: int, action: Literal["increase", "decrease"]) -> None:
         if not interpret:  # which has no registers to give
             plgpu.set_max_registers(number, action=action)
 

@@ -16,6 +16,7 @@ from typing import Any
 from jax.experimental.mosaic.gpu import dialect
 from jax.extend import source_info_util
 
+_DUMP_OPTIONS = "get_or_set_dump_options"  # function of the dialect in JAX 0.11
 DUMP_NAME = "mosaic_gpu.dump_basename"  # attribute of a kernel's module
 DUMPS = "MOSAIC_GPU_DUMP"  # prefix of environment variables that request dumps
 
@@ -45,9 +46,9 @@ def _here() -> Any:
 
 def _name_dumps_alike() -> None:
     """Kernels have no number, unless dumps are requested, which would overwrite each other."""
-    if not hasattr(dialect, "get_or_set_dump_options"):  # jax 0.10: kernels have no number in a program
+    ask = getattr(dialect, _DUMP_OPTIONS, None)  # there is no public way (jax 0.11)
+    if ask is None:  # jax 0.10: kernels have no number in a program
         return
-    ask = dialect.get_or_set_dump_options  # there is no public way (jax 0.11)
 
     def named(module: Any) -> Any:
         attributes = module.operation.attributes
@@ -55,7 +56,7 @@ def _name_dumps_alike() -> None:
             attributes[DUMP_NAME] = attributes["sym_name"]
         return ask(module)
 
-    dialect.get_or_set_dump_options = named
+    setattr(dialect, _DUMP_OPTIONS, named)
 
 
 _HERE = _here()

@@ -61,7 +61,7 @@ def call(
 ) -> Callable[..., Any]:
     """A kernel of PAIRS pairs of blocks of so many warpgroups."""
     return without_caller_frames(
-        plgpu.kernel(
+        plgpu.kernel(  # pyrefly: ignore[missing-argument]  # jax 0.10, which never runs it, has out_shape for out_type
             body,
             out_type=out_type,
             grid=(2 * PAIRS,),
@@ -71,6 +71,7 @@ def call(
             scratch_types=scratch_types,
             # Barriers are placed by hand: those that Pallas adds around loads and stores keep copies from overlapping.
             compiler_params=plgpu.CompilerParams(approx_math=True, unsafe_no_auto_barriers=True),
+            # pyrefly: ignore[missing-attribute]  # jax 0.10, which never runs it, has no such class
             interpret=plgpu.InterpretGPUParams() if interpret else False,
         )
     )

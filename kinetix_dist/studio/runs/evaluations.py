@@ -126,8 +126,8 @@ def _rates(stored: Mapping[str, Any], phase: str, *, file: str) -> dict[str, dic
     sets = member(stored, phase, dict, file=file) or {}
     for name in sets:
         entry = member(sets, name, dict, file=file) or {}
-        found[name] = {key: member(entry, key, (int, float), file=file) for key in ("rate", "low", "high", "attempts")}
-        found[name]["interval_over_levels"] = member(entry, "interval_over_levels", dict, file=file)
+        numbers = {key: member(entry, key, (int, float), file=file) for key in ("rate", "low", "high", "attempts")}
+        found[name] = {**numbers, "interval_over_levels": member(entry, "interval_over_levels", dict, file=file)}
     return found
 
 

@@ -58,7 +58,7 @@ def failure_groups(
         if len(groups) > 1:
             alike.setdefault(frozenset(is_in.tobytes() for is_in in groups.values()), []).append(name)
     num_groups = sum(len(division) for division in alike)
-    found = [
+    found: list[dict[str, Any]] = [
         {"same": same} | _compared(levels, name, groupings[name], num_groups) for name, *same in alike.values()
     ]
     found.sort(key=lambda one: (-one.pop("least_explained"), -one["explained"]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 from kinetix_dist.evaluation.intervals import Estimate
 
@@ -57,7 +57,7 @@ def change(difference: Estimate) -> str:
     return f"no change by more than chance ({points(difference)})"
 
 
-def is_above(difference: Estimate | None) -> bool:
+def is_above(difference: Estimate | None) -> TypeGuard[Estimate]:
     """True where the whole interval is above 0."""
     return difference is not None and difference[1] > 0
 

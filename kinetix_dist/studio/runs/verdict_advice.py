@@ -323,13 +323,15 @@ def _failing(evidence: Evidence) -> dict[str, Any]:
 def _still_rising(evidence: Evidence) -> NextStep | None:
     """Go on, where solve rates in training or of a set rose over the last half, too, by more than chance."""
     trend = evidence.trend
-    rising = [one for one in evidence.histories if is_above(one.since_half)]
-    if trend is not None and is_above(trend.late):
-        why = f"solve rates of {trend.source} still rise ({points(trend.late)} over the last half)"
+    rising = [(one.name, one.since_half) for one in evidence.histories if is_above(one.since_half)]
+    late = None if trend is None else trend.late
+    if trend is not None and is_above(late):
+        why = f"solve rates of {trend.source} still rise ({points(late)} over the last half)"
         page, query = trend.link[0], {"panel": trend.link[1]}
     elif rising:
-        why = f"{rising[0].name} rose over the last half of the run, too ({points(rising[0].since_half)})"
-        page, query = "evaluation", {"set": rising[0].name, "panel": f"{rising[0].name}: "}
+        name, since_half = rising[0]
+        why = f"{name} rose over the last half of the run, too ({points(since_half)})"
+        page, query = "evaluation", {"set": name, "panel": f"{name}: "}
     else:
         return None
     if evidence.status.is_over:

@@ -81,7 +81,7 @@ def stability_of(
     if lost:
         signs.append(lost)
         remedies.append(RED["learner/skipped_steps"][1])
-    if since is not None:
+    if since is not None and until is not None:
         causes = _changes(events, since, until)
         if causes:
             remedies.insert(0, "take back what changed")

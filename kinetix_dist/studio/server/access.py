@@ -17,10 +17,11 @@ import ipaddress
 import secrets
 import socket
 import time
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Iterable
 from urllib.parse import urlsplit
 
 from aiohttp import web
+from aiohttp.typedefs import Handler, Middleware
 
 TOKEN_BYTES = 24
 # A browser with a window requests the icon of every page: the one that is linked, else /favicon.ico.
@@ -50,8 +51,6 @@ HEADERS = {
     "Cache-Control": "no-cache",  # requested again, and answered "not modified"
 }
 
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
-
 
 class Access:
     """Checks of requests, as the `middleware` of an aiohttp application."""
@@ -76,7 +75,7 @@ class Access:
         self._first_page = first_page
 
     @property
-    def middleware(self) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
+    def middleware(self) -> Middleware:
         @web.middleware
         async def check(request: web.Request, handler: Handler) -> web.StreamResponse:
             return await self._answer(request, handler)

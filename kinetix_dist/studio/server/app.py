@@ -16,17 +16,18 @@ import errno
 import logging
 import signal
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 from aiohttp import web
+from aiohttp.typedefs import Handler, Middleware
 
 from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.evaluation.intervals import t_95
 from kinetix_dist.studio.runs.run_files import RunFileError
 from kinetix_dist.studio.runs.series import AxisError
 from kinetix_dist.studio.runs.snapshot_levels import LevelQueryError
-from kinetix_dist.studio.server.access import Access, Handler
+from kinetix_dist.studio.server.access import Access
 from kinetix_dist.studio.server.channel import Channel
 from kinetix_dist.studio.server.compare_pages import ComparePages
 from kinetix_dist.studio.server.editor_pages import EditorConfig, EditorPages
@@ -140,7 +141,7 @@ async def one_line_errors(request: web.Request, handler: Handler) -> web.StreamR
         )
 
 
-def _find_new_runs(service: RunService) -> Callable[[web.Request, Handler], Awaitable[web.StreamResponse]]:
+def _find_new_runs(service: RunService) -> Middleware:
     @web.middleware
     async def look(request: web.Request, handler: Handler) -> web.StreamResponse:
         if "run" in request.match_info:

@@ -111,7 +111,10 @@ class RunService:
             for watcher in set(self._watchers.get(run_id, ())):
                 watcher.read(run_id, bytes_left)
 
-        await asyncio.to_thread(self._readers[run_id].read_first, lambda left: loop.call_soon_threadsafe(report, left))
+        def report_from_thread(bytes_left: int) -> None:
+            loop.call_soon_threadsafe(report, bytes_left)
+
+        await asyncio.to_thread(self._readers[run_id].read_first, report_from_thread)
 
     async def _poll(self, run_id: str) -> None:
         reader = self._readers[run_id]

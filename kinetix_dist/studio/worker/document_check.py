@@ -52,8 +52,7 @@ def _problems(document: Any) -> list[LevelFormatError]:
             return [LevelFormatError(part, f"has {len(entries)} entries", f"give at most {MAX_ENTRIES}")]
     size = document.get("size")
     # A document without a size, itself a problem, is checked against the largest size.
-    known = isinstance(size, str) and size in SIZES
-    name = size if known else list(SIZES)[-1]
+    name = size if isinstance(size, str) and size in SIZES else list(SIZES)[-1]
     return list(problems_of(document, capacity_of_size(name), name))
 
 

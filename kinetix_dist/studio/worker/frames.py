@@ -97,4 +97,11 @@ def decode(data: bytes, sizes: FrameSizes) -> Frame:
         count = math.prod(shape)
         arrays[name] = numbers[start : start + count].reshape(shape)
         start += count
-    return Frame(**values, **arrays)
+    return Frame(
+        **values,
+        poses=arrays["poses"],
+        motor=arrays["motor"],
+        thruster=arrays["thruster"],
+        colours=arrays["colours"],
+        outputs=arrays["outputs"],
+    )

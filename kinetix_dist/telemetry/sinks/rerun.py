@@ -23,7 +23,7 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def rollout_to_rrd(rollout: Rollout, path: str | os.PathLike[str]) -> None:
         raise FileNotFoundError(f"{Path(path).parent} is no directory; create it or choose another path for the .rrd")
     try:
         with rr.RecordingStream(APPLICATION, recording_id=_recording_id(rollout), send_properties=False) as stream:
-            stream.save(path, default_blueprint=rollout_blueprint(rollout))
+            stream.save(Path(path), default_blueprint=rollout_blueprint(rollout))
             log_rollout(stream, rollout)
             stream.flush()
             stream.disconnect()
@@ -227,11 +227,18 @@ def _outline(primitive: Primitive) -> np.ndarray:
     return primitive.points[0] + primitive.radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 
 
-def _filled(corners: np.ndarray, nearer: float) -> dict[str, np.ndarray]:
+class _Mesh(TypedDict):
+    """Arguments of a Mesh3D."""
+
+    vertex_positions: np.ndarray  # [k, 3]
+    triangle_indices: np.ndarray  # [k - 2, 3]
+
+
+def _filled(corners: np.ndarray, nearer: float) -> _Mesh:
     """Arguments of a Mesh3D that fills a convex polygon [k, 2]: a fan of triangles from its first corner."""
     second = np.arange(1, len(corners) - 1)
     fan = np.stack([np.zeros_like(second), second, second + 1], axis=-1)
-    return {"vertex_positions": _at_depth(corners, nearer), "triangle_indices": fan.astype(np.uint32)}
+    return _Mesh(vertex_positions=_at_depth(corners, nearer), triangle_indices=fan.astype(np.uint32))
 
 
 def _colour(colour: Any) -> np.ndarray:

@@ -33,7 +33,7 @@ def build_jumper(draws: Draws, capacity: Capacity) -> Mechanism:
     car = scaled_car(draws, draws.between(0.5, 0.8))
     has_bar, bar_half = draws.chance(0.4), jnp.stack([draws.between(0.03, 0.06), draws.between(0.2, 0.4)])
     chassis = dataclasses.replace(car.parts[0], role=jnp.where(has_bar, Role.NONE, Role.GREEN))
-    foot = chassis.position + jnp.stack([jnp.zeros((), jnp.float32), 0.5 * chassis.half[1]])
+    foot = chassis.position + jnp.stack([jnp.zeros((), jnp.float32), 0.5 * chassis.half_of_box[1]])
     bar = Part(
         position=foot + jnp.stack([jnp.zeros((), jnp.float32), 0.85 * bar_half[1]]),
         half=bar_half,
