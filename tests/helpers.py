@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import operator
 import os
 import socket
 import subprocess
@@ -71,12 +72,17 @@ def compile_cache(directory: Path) -> Iterator[None]:
     """Meanwhile JAX keeps compiled programs there."""
     import jax  # not for whoever needs paths alone
 
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", str(directory))
     try:
         yield
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
+
+
+def num_compiled(function: Callable[..., object]) -> int:
+    """Return the number of programs that JAX has compiled for a jitted function. JAX has no public way to ask."""
+    return int(operator.methodcaller("_cache_size")(function))
 
 
 def public_levels_directory() -> Path | None:

@@ -105,8 +105,8 @@ def write_stored() -> None:
 
 def write_formula_policy(folder: Path, **model: Any) -> Path:
     """A policy as the package saves it, whose parameters follow from names and indices; model: options of it."""
-    model = {"legacy_entity_id": False} | model
-    sizes = {field: model[name] for name, field in PACKAGE_SIZES.items() if name in model}
+    model = {"legacy_entity_id": False, **model}
+    sizes: dict[str, Any] = {field: model[name] for name, field in PACKAGE_SIZES.items() if name in model}
     places = layout(PolicyConfig(**sizes), FeatureCounts(**NUM_FEATURES), HEAD_SIZES)
     leaves = {leaf.name: formula(leaf.name, leaf.shape) for place in places for leaf in place.parts}
     write_policy(folder, leaves, model)

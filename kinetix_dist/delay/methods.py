@@ -59,7 +59,7 @@ class Method(Protocol):
 class Plain:
     """Each chunk by itself."""
 
-    def plan(self, policy: ChunkPolicy, params: Params, seen: Seen, old: Plan) -> Array:
+    def plan(self, policy: ChunkPolicy, params: Params, seen: Seen, old: Plan | None) -> Array:
         del old
         return sampled(policy, params, seen)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +17,7 @@ from kinetix_dist.actors.outcomes import PHYSICS_FIELDS, add_step, no_outcomes
 from kinetix_dist.actors.unroll import Worlds, score, unroll
 from kinetix_dist.env.environment import EnvConfig, Environment
 from kinetix_dist.learner.sharding import DATA_AXIS, data_mesh
+from kinetix_dist.level.level import Level
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.models.policy import PolicyConfig, init_params, make_policy
 from tests.helpers import REPOSITORY
@@ -26,10 +29,10 @@ POLICY = PolicyConfig(encoder_size=8, attention_features=4, num_heads=4, num_lay
 @dataclasses.dataclass(frozen=True)
 class Problem:
     env: Environment
-    policy: object
-    params: object
-    levels: object
-    play: object  # (levels, key, first world) -> what unroll returns
+    policy: Any
+    params: Any
+    levels: Level
+    play: Callable[..., Any]  # (levels, key, first world) -> what unroll returns
 
     @property
     def num_worlds(self) -> int:

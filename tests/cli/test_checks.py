@@ -140,7 +140,7 @@ def test_without_home_caches_go_to_a_temporary_directory_of_this_user_alone(fall
     assert (Path.home(), os.environ["XDG_CACHE_HOME"]) == (fallback, str(fallback / ".cache"))
     assert getpass.getuser() == f"uid{os.getuid()}"
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.values["jax_compilation_cache_dir"]
     try:
         assert enable_compile_cache("") == fallback / ".cache" / "kinetix-dist" / "jax"
     finally:
@@ -202,8 +202,8 @@ def test_doctor_writes_where_training_does(variable, monkeypatch, tmp_path):
 
 def test_a_compile_cache_that_cannot_be_written_is_said_once(tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.values["jax_compilation_cache_dir"]
     for _ in range(2):
         start_computing(str(tmp_path / "file"))
-    assert jax.config.jax_compilation_cache_dir == before
+    assert jax.config.values["jax_compilation_cache_dir"] == before
     assert capsys.readouterr().err.count("the compile cache cannot be written") == 1

@@ -13,11 +13,13 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.config import to_dict
 from kinetix_dist.curator.config import CurriculumConfig, PairedConfig
 from kinetix_dist.curator.teacher import PARAMS_PREFIX, Teacher
+from kinetix_dist.env.environment import Environment
 from kinetix_dist.learner.sharding import data_mesh
 from kinetix_dist.level.level import SIZES
 from kinetix_dist.level.schema import load_level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.level.simulation import noop_solved
+from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curriculum_state import PpoAgents
 from tests.runtime.runs import tiny_config
 
@@ -57,7 +59,8 @@ def run_with_teacher(directory: Path, scale: float) -> Path:
         curriculum=curriculum,
         env=dataclasses.replace(config.env, max_steps=config.rollout.num_steps),  # what PAIRED asks for
     )
-    agents = PpoAgents(config, None, None, data_mesh())
+    env = Environment(config.env)
+    agents = PpoAgents(config, env, make_policy(config.policy, env.action_distribution.head_sizes), data_mesh())
     teacher = Teacher(SIZES[config.env.size], curriculum.generator, curriculum.paired, agents)
     arrays = flatten_arrays({"curriculum": {"teacher": teacher.init()}})
     arrays |= {name: scale * array for name, array in arrays.items() if name.startswith(PARAMS_PREFIX)}

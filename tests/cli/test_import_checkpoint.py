@@ -12,6 +12,7 @@ import pytest
 from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, select_arrays
 from kinetix_dist.checkpoint.arrays import read_safetensors
 from kinetix_dist.cli.main import main
+from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX
 from kinetix_dist.models.policy import PolicyConfig
@@ -68,11 +69,11 @@ def test_an_imported_policy_of_the_papers_size_plays_a_public_level(public_level
     assert main(["eval", "--checkpoint", str(tmp_path / "imported"), "--levels", str(level), "--attempts", "1"]) == 0
 
 
-def _config(imported: Path, **policy: int):
+def _config(imported: Path, policy: PolicyConfig = POLICY) -> TrainConfig:
     config = tiny_config(num_updates=2, start_from=str(imported))
     env = dataclasses.replace(config.env, observation="entity_kinetix")
     curriculum = CurriculumConfig(name="fixed", levels=KICK)
-    return dataclasses.replace(config, env=env, policy=dataclasses.replace(POLICY, **policy), curriculum=curriculum)
+    return dataclasses.replace(config, env=env, policy=policy, curriculum=curriculum)
 
 
 @pytest.mark.long
@@ -94,7 +95,7 @@ def test_training_goes_on_from_an_imported_policy(imported: Path, tmp_path: Path
 
 def test_a_run_cannot_start_from_another_network(imported: Path) -> None:
     with pytest.raises(CheckpointError, match=r"array params/\S+ is float32\[.*\], expected float32\["):
-        starting_point(_config(imported, encoder_size=16))
+        starting_point(_config(imported, dataclasses.replace(POLICY, encoder_size=16)))
 
 
 def test_a_policy_to_start_from_that_is_not_there_is_one_line(
@@ -124,9 +125,10 @@ def test_a_leaf_that_is_wrong_ends_the_command(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    leaves = read_safetensors(package_policy / "params.safetensors") | {LEAF: leaf}
-    if leaf is None:
-        del leaves[LEAF]
+    leaves = read_safetensors(package_policy / "params.safetensors")
+    del leaves[LEAF]
+    if leaf is not None:
+        leaves[LEAF] = leaf
     write_policy(tmp_path / "policy", leaves, SMALL | {"legacy_entity_id": False})
     _refused(tmp_path / "policy", tmp_path, message, capsys)
 

@@ -34,7 +34,7 @@ def config_of(data: Path, env: EnvConfig | None = None, **imitation: Any) -> Tra
         base,
         env=env or EnvConfig(size="s", max_steps=8),
         ppo=dataclasses.replace(base.ppo, discount=0.5),
-        imitation=ImitationConfig(**{"data": str(data), "held_out": 0.3, "batch_size": 16, **imitation}),
+        imitation=dataclasses.replace(ImitationConfig(data=str(data), held_out=0.3, batch_size=16), **imitation),
         run=dataclasses.replace(base.run, imitation_steps=20),
     )
 

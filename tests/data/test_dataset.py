@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -114,11 +115,11 @@ def test_half_a_manifest_is_refused(data: Path) -> None:
         ({"frame_skip": 4}, "is of env.frame_skip 2, not 4"),
     ],
 )
-def test_another_environment_is_refused(collected: Path, change: dict[str, object], text: str) -> None:
+def test_another_environment_is_refused(collected: Path, change: dict[str, Any], text: str) -> None:
     data = open_dataset(collected)
     data.check_env(data.env_config)
     with pytest.raises(DatasetError, match=text):
-        data.check_env(EnvConfig(**{"size": "s", **change}))
+        data.check_env(dataclasses.replace(EnvConfig(size="s"), **change))
 
 
 def test_another_physics_is_refused(collected: Path) -> None:

@@ -21,6 +21,7 @@ from kinetix_dist.evaluation.policies import RandomPolicy
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.models.flow_network import Remembered
 from kinetix_dist.models.policy import PolicyConfig
+from tests.helpers import num_compiled
 
 HORIZON = 8
 ENCODER = PolicyConfig(encoder_size=8, attention_features=8, num_layers=1, hidden_size=8, hidden_layers=1)
@@ -51,7 +52,7 @@ class Sees:
 
     horizon: int
 
-    def plan(self, policy: Any, params: Any, seen: Seen, old: Plan) -> jax.Array:
+    def plan(self, policy: Any, params: Any, seen: Seen, old: Plan | None) -> jax.Array:
         del policy, params, old
         phase = seen.obs.polygons[..., :2].sum(axis=(1, 2)) * 40.0
         return jnp.sin(phase[:, None, None] + jnp.arange(self.horizon)[:, None] + jnp.arange(6.0))
@@ -133,7 +134,7 @@ class _Given(Sees):
 class _Remembers(Sees):
     """Chunks that follow from the present and the two steps before it."""
 
-    def plan(self, policy: Any, params: Any, seen: Seen, old: Plan) -> jax.Array:
+    def plan(self, policy: Any, params: Any, seen: Seen, old: Plan | None) -> jax.Array:
         del policy, params, old
         now, past, actions = seen.obs
         phase = now.polygons[..., :2].sum(axis=(-2, -1)) * 40.0
@@ -183,14 +184,14 @@ def _first(policy: Any, env: Environment, params: Params, attempts: Attempts, lo
 def test_every_method_plays_every_delay(env: Environment, attempts: Attempts, params: Params, method: Method) -> None:
     """With one program; a delay changes what is played, and the same numbers give the same bits."""
     policy = make_chunk_policy(FLOW, env)
-    before = play_chunks._cache_size()
+    before = num_compiled(play_chunks)
     played = [
         play_chunks(
             env, policy, method, params, attempts, Schedule(delay=d, execute=4, horizon=HORIZON, action_noise=n)
         )
         for d, n in [(0, 0.0), (3, 0.0), (3, 0.0), (3, 0.2)]
     ]
-    assert play_chunks._cache_size() - before <= 1
+    assert num_compiled(play_chunks) - before <= 1
     assert all(np.asarray(each.finished).all() for each in played)
     returns = [np.asarray(each.episode_return) for each in played]
     assert (returns[1] != returns[0]).any() and (returns[3] != returns[1]).any()

@@ -29,7 +29,7 @@ def test_a_flow_of_a_known_gaussian_gives_its_mean_and_variance() -> None:
 
 def test_the_velocity_that_the_loss_is_least_for_is_that_of_the_gaussian() -> None:
     actions = MEAN + DEVIATION * prng.normal(prng.key(1), (20_000, 2, 1))
-    drawn = draw(prng.key(2), actions.shape, 0)
+    drawn = draw(prng.key(2), (20_000, 2, 1), 0)
     ones = jnp.ones_like(actions)
     best = flow_loss(gaussian_velocity, actions, drawn, ones)
     for change in (0.1, -0.1):

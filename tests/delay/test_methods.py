@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import jax.numpy as jnp
@@ -44,7 +43,12 @@ class ToPoint(nn.Module):
         return (goal - chunk) / jnp.maximum(1.0 - time[..., None], 1e-3)
 
 
-POLICY = ChunkPolicy(ToPoint(), ACTION_SPACES["continuous"], 5)  # type: ignore[arg-type]
+def policy_with(network: ToPoint, num_steps: int = 5) -> ChunkPolicy:
+    # pyrefly: ignore[bad-argument-type]  # it has the methods of a FlowNetwork
+    return ChunkPolicy(network, ACTION_SPACES["continuous"], num_steps)
+
+
+POLICY = policy_with(ToPoint())
 BOUND = jnp.array([True, True, False, False, True, False])
 
 
@@ -88,7 +92,7 @@ class Still(ToPoint):
 
 
 def test_rtc_keeps_what_will_be_executed_and_less_of_what_follows() -> None:
-    policy = dataclasses.replace(POLICY, network=Still())
+    policy = policy_with(Still())
     old = old_plan(0.5, delay=2, known=4)
     chunk = Rtc().plan(policy, Params({}), seen(), old)
     noise = jnp.clip(Rtc(max_guidance=0.0).plan(policy, Params({}), seen(), old), -1.0, 1.0)
@@ -123,7 +127,7 @@ class Shift(ToPoint):
 @pytest.mark.parametrize("shift_of_weak", [None, 0.9])
 def test_bidirectional_decoding_takes_the_best_sample(shift_of_weak: float | None) -> None:
     """Against all samples one by one, in numpy; the weaker policy has the same noise."""
-    policy = dataclasses.replace(POLICY, network=Shift(), num_steps=1)
+    policy = policy_with(Shift(), num_steps=1)
     method, weak = Bidirectional(num_samples=6, num_kept=2), shift_of_weak
     old = old_plan(0.5, delay=1, known=3)
     chosen = method.plan(policy, Params(params(0.1), None if weak is None else params(weak)), seen(), old)

@@ -113,7 +113,7 @@ def test_json_holds_the_interval_and_every_level(env: Environment) -> None:
     ],
 )
 def test_bad_requests_are_refused(env: Environment, keywords: dict[str, Any], message: str) -> None:
-    given = {"attempts": 1, "key": jax.random.key(0), **keywords}
+    given: dict[str, Any] = {"attempts": 1, "key": jax.random.key(0), **keywords}
     with pytest.raises(ValueError, match=message):
         evaluate(env, Player(NoopPolicy(env.action_space)), batch(RESTS, RESTS), **given)
 

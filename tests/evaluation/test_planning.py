@@ -24,6 +24,7 @@ from kinetix_dist.evaluation.policies import NoopPolicy, Player
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import load_level
+from tests.helpers import num_compiled
 
 SIZE = PlannerSize(num_slots=2, num_worlds=32)
 MAX_STEPS = 64
@@ -169,6 +170,6 @@ def test_a_planner_needs_as_many_worlds_as_candidates() -> None:
 
 def test_the_programs_are_compiled_once_for_all_levels(planner: Planner, plans: list[Plan], levels: Level) -> None:
     del plans  # whose search has compiled them
-    before = held_round._cache_size(), explore_round._cache_size()
+    before = num_compiled(held_round), num_compiled(explore_round)
     planner.plan(problems_of(planner.env, jax.tree.map(lambda x: x[::-1], levels)), Budget.of(2, rounds=3))
-    assert (held_round._cache_size(), explore_round._cache_size()) == before
+    assert (num_compiled(held_round), num_compiled(explore_round)) == before

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.GifImagePlugin import GifImageFile
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.finetune.moving_picture import NUM_ATTEMPTS, num_columns, play_specialists
@@ -52,7 +53,7 @@ def test_each_level_is_shown_before_and_after_at_most_one_frame_in_a_fifteenth_o
     assert capsys.readouterr().out.endswith(f"gif      {gif}\n")
     longest = max(one.rollout.num_steps for one in played)  # of 1/30 s
     with Image.open(gif) as image:
-        assert image.n_frames == 1 + -(-longest // 2)
+        assert isinstance(image, GifImageFile) and image.n_frames == 1 + -(-longest // 2)
 
 
 def test_a_start_that_is_gone_is_left_out_and_levels_that_are_gone_are_one_line(

@@ -48,7 +48,7 @@ def test_the_picture_has_a_dot_where_the_rate_was_reached_and_a_triangle_at_the_
     ]
     half, most = figure_of(records).axes
     drawn = [
-        {line.get_marker(): list(line.get_xdata()) for line in panel.lines[i : i + 2]}
+        {line.get_marker(): np.asarray(line.get_xdata()).tolist() for line in panel.lines[i : i + 2]}
         for panel in (half, most)
         for i in (0, 2)
     ]
@@ -58,7 +58,9 @@ def test_the_picture_has_a_dot_where_the_rate_was_reached_and_a_triangle_at_the_
         {"o": [], ">": [200, 200]},
         {"o": [100], ">": [200]},
     ]
-    assert [text.get_text() for text in half.get_legend().get_texts()] == [
+    legend = half.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == [
         "from scratch: 1 of 2",
         "from policy: 2 of 2",
     ]

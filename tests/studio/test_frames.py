@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import struct
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,11 +19,25 @@ from tests.helpers import PATIENCE_S, REPOSITORY
 SIZES = FrameSizes(shapes=16, joints=6, thrusters=2, outputs=16)
 
 
-def drawn(sizes: FrameSizes = SIZES, **changes) -> Frame:
+def drawn(sizes: FrameSizes = SIZES, **changes: Any) -> Frame:
     draws = np.random.default_rng(0)
     arrays = {name: draws.normal(size=shape).astype(np.float32) for name, shape in sizes.arrays}
-    facts = {"session": 3, "step": 70_000, "flags": frames.DONE | frames.SOLVED, "seq": 2**32 - 1, "reward": 0.5}
-    return Frame(**facts | {"total_reward": 1.25, "value": -0.25, "gap": 2.0} | arrays | changes)
+    frame = Frame(
+        session=3,
+        step=70_000,
+        poses=arrays["poses"],
+        motor=arrays["motor"],
+        thruster=arrays["thruster"],
+        colours=arrays["colours"],
+        outputs=arrays["outputs"],
+        flags=frames.DONE | frames.SOLVED,
+        seq=2**32 - 1,
+        reward=0.5,
+        total_reward=1.25,
+        value=-0.25,
+        gap=2.0,
+    )
+    return dataclasses.replace(frame, **changes)
 
 
 def test_a_frame_comes_back() -> None:

@@ -15,7 +15,7 @@ LOST = {"event": "process_lost", "process": "rollout 1", "role": "rollout", "err
 
 def line(update: int, **processes: tuple[int, float | None]) -> dict[str, Any]:
     """processes: pid and busy share by name, `rollout_1` for `rollout 1`."""
-    described = []
+    described: list[dict[str, Any]] = []
     for name, (pid, busy) in processes.items():
         described.append({"name": name.replace("_", " "), "role": name.split("_")[0], "pid": pid, "host": "a"})
         described[-1] |= {"resident_bytes": 1000} | ({} if busy is None else {"busy": busy})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -194,8 +195,8 @@ def test_levels_are_sorted_filtered_and_paged(run: Path) -> None:
     refreshes = Refreshes(run)
     snapshot, plays = refreshes.snapshot(REFRESH, 0), refreshes.plays(0)
 
-    def page(**fields) -> dict:
-        defaults = {"sort": "slot", "descending": False, "filter_text": "", "offset": 0, "limit": 100}
+    def page(**fields: Any) -> dict[str, Any]:
+        defaults: dict[str, Any] = {"sort": "slot", "descending": False, "filter_text": "", "offset": 0, "limit": 100}
         return level_page(snapshot, plays, **{**defaults, **fields})
 
     assert [level["index"] for level in page()["levels"]] == list(range(8))

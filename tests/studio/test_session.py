@@ -224,7 +224,7 @@ def test_a_world_that_diverges_keeps_the_places_that_it_had(monkeypatch: pytest.
 )
 def test_outputs_of_a_policy_say_which_colour_they_are_about(space: ActionSpace, expected: list) -> None:
     assert [*map(list, programs.controls_of_outputs(space))] == expected
-    assert len(expected) == sum(space.distribution.head_sizes)
+    assert space.distribution is not None and len(expected) == sum(space.distribution.head_sizes)
 
 
 def test_a_policy_that_gives_no_numbers_is_an_error_and_no_frame(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -331,7 +331,7 @@ def test_a_level_that_solves_itself_says_when() -> None:
     assert steps_until_noop_solves(env, level()) is None
     position = level().position.copy()
     green, blue = (int(np.flatnonzero(level().shape_role == role)[0]) for role in (1, 2))
-    position[green] = position[blue] + np.float32([0.0, 1.2])
+    position[green] = position[blue] + np.asarray([0.0, 1.2], np.float32)
     solved_at = steps_until_noop_solves(env, dataclasses.replace(level(), position=position))
     assert solved_at is not None and 5 < solved_at < 60
 

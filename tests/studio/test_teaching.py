@@ -16,6 +16,7 @@ from kinetix_dist.studio.server import teaching as teaching_module
 from kinetix_dist.studio.server.background_command import BackgroundCommand
 from kinetix_dist.studio.server.run_service import RunService
 from kinetix_dist.studio.server.teaching import BusyError, Job, Teaching, TeachingError, file_name
+from kinetix_dist.studio.server.worker_client import Progress, WorkerClient
 from kinetix_dist.studio.worker.wire import Message
 from kinetix_dist.telemetry.status import Status
 from tests.helpers import run_in_time
@@ -63,14 +64,15 @@ else:
 """
 
 
-class Engine:
+class Engine(WorkerClient):
     """Engine worker that answers every check alike."""
 
     def __init__(self, **checked: Any) -> None:
+        super().__init__(is_allowed=False)
         self._checked = GOOD | checked
         self.pretrained = ["generalist"]
 
-    async def request(self, kind: str, fields: dict[str, Any]) -> Message:
+    async def request(self, kind: str, fields: dict[str, Any], progress: Progress | None = None) -> Message:
         assert kind == "check" and fields["play"]
         return Message(self._checked)
 
@@ -78,7 +80,7 @@ class Engine:
         return {"pretrained": self.pretrained}
 
 
-def teaching(tmp_path: Path, script: str, engine: Any = None) -> Teaching:
+def teaching(tmp_path: Path, script: str, engine: WorkerClient | None = None) -> Teaching:
     program = tmp_path / "program.py"
     program.write_text(script)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -45,10 +45,16 @@ def changed_by(run: Path, found: Verdict) -> dict[str, object]:
     }
 
 
-def judged(run: Path, *rates: float, state: str = "finished", updates: int = 40, **metrics: float) -> Path:
+def judged(
+    run: Path,
+    *rates: float,
+    state: str = "finished",
+    updates: int = 40,
+    metrics: Mapping[str, float] | None = None,
+) -> Path:
     """A run with evaluations of random_s, evenly over its updates; random actions solve 0.3."""
     write_config(run)
-    write_metrics(run, updates, lambda update: metrics)
+    write_metrics(run, updates, lambda update: metrics or {})
     write_evaluation(run, "random_policy", 0, {"random_s": 0.3})
     for k, rate in enumerate(rates):
         update = k * updates // max(len(rates) - 1, 1)
@@ -100,7 +106,7 @@ def test_labels_that_do_not_hold_are_scored_more(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("metric", BOTTLENECKS)
 def test_a_bottleneck_is_named_with_the_setting_that_mends_it(tmp_path: Path, metric: str) -> None:
-    run = judged(tmp_path / "a", 0.3, 0.6, **{metric: 0.35})
+    run = judged(tmp_path / "a", 0.3, 0.6, metrics={metric: 0.35})
     found = verdict(run)
     option, _ = BOTTLENECKS[metric]
     section, field = option.split(".")
@@ -160,7 +166,7 @@ def test_a_policy_that_hardly_varies_gets_more_entropy(tmp_path: Path) -> None:
 
 
 def test_a_loss_without_a_gain_gets_smaller_updates_or_nearer_levels(tmp_path: Path) -> None:
-    run = judged(tmp_path / "a", 0.4, 0.33, **{"learner/approx_kl": 0.3})
+    run = judged(tmp_path / "a", 0.4, 0.33, metrics={"learner/approx_kl": 0.3})
     found = verdict(run)
     assert found.outcome == "worse" and "learner/approx_kl 0.3 in the last 10 rows" in found.next_step.sentence
     assert changed_by(run, found).keys() == {"ppo.learning_rate"}
@@ -173,7 +179,7 @@ def test_no_change_is_told_by_more_attempts_or_larger_updates(tmp_path: Path) ->
     found = verdict(run := judged(tmp_path / "a", 0.3, 0.305))
     assert found.outcome == "unclear" and "may have gained up to" in found.next_step.sentence
     assert changed_by(run, found).keys() == {"evaluation.attempts"}
-    found = verdict(run := judged(tmp_path / "b", 0.3, 0.305, **{"learner/approx_kl": 0.001}))
+    found = verdict(run := judged(tmp_path / "b", 0.3, 0.305, metrics={"learner/approx_kl": 0.001}))
     assert "0.001 nat (learner/approx_kl), which is little" in found.next_step.sentence
     assert changed_by(run, found).keys() == {"ppo.learning_rate"}
 

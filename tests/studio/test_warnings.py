@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
 
 from kinetix_dist.studio.runs.series import SeriesTable
@@ -27,7 +29,7 @@ CASES = {
 }
 
 
-def table_of(metric: str, values: list[float]) -> SeriesTable:
+def table_of(metric: str, values: Sequence[float]) -> SeriesTable:
     table = SeriesTable()
     table.append({"update": k + 1, metric: value} for k, value in enumerate(values))
     return table

@@ -48,7 +48,7 @@ def write_evaluation(run: Path, phase: str, update: int, rates: Mapping[str, flo
     append_line(run / "evaluations.jsonl", row | {"sets": sets})
 
 
-def write_metrics(run: Path, updates: int, metrics: Callable[[int], Mapping[str, float | None]]) -> None:
+def write_metrics(run: Path, updates: int, metrics: Callable[[int], Mapping[str, float]]) -> None:
     sink = JsonlSink(run / "metrics" / "metrics.jsonl", resume_at=None)
     shares = {"time/rollout": 0.6, "time/learn": 0.3, "time/idle": 0.1}
     for update in range(1, updates + 1):

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from kinetix_dist.study.library import find_study, read_study, study_names
 from kinetix_dist.study.plan import Plan, plan_of
@@ -57,9 +58,22 @@ def write(path: Path, content: str = TEXT) -> Path:
     return file
 
 
-def plan(folder: Path, content: str = TEXT, **choices) -> Plan:
+def training_study(name: str) -> Study:
+    """Return the study of the package whose arms are trainings."""
+    study = find_study(name)
+    assert isinstance(study, Study)
+    return study
+
+
+def read_training_study(path: Path) -> Study:
+    study = read_study(path)
+    assert isinstance(study, Study)
+    return study
+
+
+def plan(folder: Path, content: str = TEXT, **choices: Any) -> Plan:
     """Plan of a study whose file is written into a folder; choices: of `plan_of`."""
-    return plan_of(read_study(write(folder, content)), **choices)
+    return plan_of(read_training_study(write(folder, content)), **choices)
 
 
 def evaluation(phase: str, update: int, sets: Sequence[str], solved: list[int]) -> dict:

@@ -8,7 +8,7 @@ import pytest
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.errors import UserError
-from kinetix_dist.study.command_file import words_of
+from kinetix_dist.study.command_file import CommandStudy, words_of
 from kinetix_dist.study.command_plan import CommandStudyDirectory, command_plan_of
 from kinetix_dist.study.command_results import RESULTS, Written
 from kinetix_dist.study.library import find_study, read_study
@@ -55,7 +55,9 @@ open(value("--json"), "w").write(json.dumps(records))
 def plan(folder, content=TEXT, **choices):
     file = folder / "mine.toml"
     file.write_text(content)
-    return command_plan_of(read_study(file), **choices)
+    study = read_study(file)
+    assert isinstance(study, CommandStudy)
+    return command_plan_of(study, **choices)
 
 
 @pytest.fixture
@@ -171,6 +173,7 @@ def test_an_unknown_arm_and_no_small_version(tmp_path, capsys):
 @pytest.mark.parametrize("name", OF_COMMANDS)
 def test_a_study_of_the_package_can_be_planned_on_gpus_that_are_not_there(name, capsys, monkeypatch):
     study = find_study(name)
+    assert isinstance(study, CommandStudy)
     assert study.name == name and study.question.endswith("?") and study.paper.endswith(".")
     assert study.as_small.arms
     assert main(["study", name, "--plan", *(["--gpus", "4"] if study.needs_gpu else [])]) == 0

@@ -2,18 +2,20 @@
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from kinetix_dist.study.driver import write_results
-from kinetix_dist.study.forgetting import forgetting, measures, trained_runs
-from kinetix_dist.study.library import read_study
+from kinetix_dist.study.forgetting import Trained, forgetting, measures, trained_runs
 from kinetix_dist.study.plan import plan_of
+from kinetix_dist.study.study_file import Study
 from kinetix_dist.study.summary import summarise
 from kinetix_dist.sweep.design import DesignError
 from kinetix_dist.sweep.results_directory import directory_of
+from tests.study.studies import read_training_study
 
 SETS = ("designed_s", "designed_m")
 LEVELS = 10  # in the evaluations that are made up
@@ -47,10 +49,10 @@ IN_TURN = {
 }
 
 
-def _study(folder, content=TEXT):
+def _study(folder: Path, content: str = TEXT) -> Study:
     file = folder / "mine.toml"
     file.write_text(content)
-    return read_study(file)
+    return read_training_study(file)
 
 
 def _write_runs(path, plan, *, without=(), sets=None, ends=None):
@@ -107,18 +109,17 @@ def test_the_numbers_of_the_field_worked_by_hand(results):
     assert found["at_once", 1] == pytest.approx({"average rate": 0.65})
 
 
-def test_with_a_set_for_each_phase_these_are_the_published_formulas():
+def test_with_a_set_for_each_phase_these_are_the_published_formulas(tmp_path):
     """Lopez-Paz & Ranzato 2017 and Chaudhry et al. 2018 on a random matrix of five tasks."""
 
-    class OfFive:
-        tasks = tuple("abcde")
-        matrix = np.random.default_rng(0).random((6, 5))
+    tasks, matrix = tuple("abcde"), np.random.default_rng(0).random((6, 5))
 
+    class OfFive(Trained):
         def rates(self, sets):
-            return self.matrix
+            return matrix
 
-    r, b, last = OfFive.matrix[1:], OfFive.matrix[0], 4
-    found = measures(OfFive(), OfFive.tasks)
+    r, b, last = matrix[1:], matrix[0], 4
+    found = measures(OfFive(run=plan_of(_study(tmp_path)).runs[0], tasks=tasks, points=()), tasks)
     assert found["average rate"] == pytest.approx(r[last].mean())
     assert found["backward transfer"] == pytest.approx(np.mean([r[last, i] - r[i, i] for i in range(4)]))
     assert found["forward transfer"] == pytest.approx(np.mean([r[i - 1, i] - b[i] for i in range(1, 5)]))

@@ -7,17 +7,16 @@ from pathlib import Path
 import pytest
 
 from kinetix_dist.cli.main import main
-from kinetix_dist.study.library import find_study
 from kinetix_dist.study.plan import plan_of
 from kinetix_dist.sweep import run_loop
-from tests.study.studies import OF_COMMANDS, OF_TRAINING
+from tests.study.studies import OF_COMMANDS, OF_TRAINING, training_study
 
 pytestmark = pytest.mark.long
 SLOW = "compute"  # a program for each number of worlds
 ARMS = [
     pytest.param(name, arm.name, marks=[pytest.mark.slow] if name == SLOW else [])
     for name in OF_TRAINING
-    for arm in find_study(name).as_small.arms
+    for arm in training_study(name).as_small.arms
 ]
 
 
@@ -58,7 +57,7 @@ def test_an_arm_trains_and_is_evaluated(study, arm):
     path = Path("runs/studies") / f"{study}_small"
     with (path / f"{study}_small.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["arm"] == arm]
-    small = find_study(study).as_small
+    small = training_study(study).as_small
     points = {(row["set"], int(row["point"])) for row in rows}
     numbers = range(small.num_points_of(arm) + 1)
     assert points == {(name, number) for name in small.sets_of(arm) for number in numbers}
@@ -67,7 +66,7 @@ def test_an_arm_trains_and_is_evaluated(study, arm):
 @pytest.mark.parametrize("study", OF_TRAINING)
 def test_the_study_is_complete_then(study, capsys):
     path = Path("runs/studies") / f"{study}_small"
-    plan = plan_of(find_study(study).as_small)
+    plan = plan_of(training_study(study).as_small)
     if not all((path / "arms" / run.name).is_dir() for run in plan.runs):
         pytest.skip("its arms were not run")
     assert main(["study", study, "--small", "--draw"]) == 0
@@ -90,7 +89,7 @@ def test_the_learnability_of_chosen_levels_is_written_and_said():
 def test_a_study_of_commands_runs_them_and_draws_what_they_wrote(study, capsys):
     assert main(["study", study, "--small"]) == 0
     said = capsys.readouterr().out
-    small = find_study(study).as_small
+    small = training_study(study).as_small
     assert f"{len(small.arms)} of {len(small.arms)} runs" in said
     path = Path("runs/studies") / f"{study}_small"
     with (path / f"{study}_small.csv").open() as file:

@@ -7,10 +7,20 @@ import pytest
 from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
 from kinetix_dist.recipes import recipe
-from kinetix_dist.study.library import STUDIES, find_study, read_study, study_names
+from kinetix_dist.study.library import STUDIES, study_names
 from kinetix_dist.study.plan import SET_BY_STUDY, plan_of
 from kinetix_dist.sweep.arms import train_arguments
-from tests.study.studies import OF_TRAINING, OWN_LENGTH, SMALL, TEXT, plan, trained, write
+from tests.study.studies import (
+    OF_TRAINING,
+    OWN_LENGTH,
+    SMALL,
+    TEXT,
+    plan,
+    read_training_study,
+    trained,
+    training_study,
+    write,
+)
 
 TINY_STEPS = 128  # environment steps of an update of the recipe `tiny`
 
@@ -38,18 +48,19 @@ def test_there_are_studies():
 
 @pytest.mark.parametrize("name", OF_TRAINING)
 def test_a_study_of_the_package_can_be_planned_and_has_a_small_version(name):
-    study = find_study(name)
+    study = training_study(name)
     assert study.name == name and study.question.endswith("?") and study.paper.endswith(".")
     assert f"kinetix-dist study {name} --plan" in (STUDIES / f"{name}.toml").read_text()
     assert len(plan_of(study).runs) == study.seeds * len(study.arms)
     small = plan_of(study.as_small)
     assert all(run.config.run.device == "cpu" and run.config.run.placement == "local" for run in small.runs)
+    assert study.small is not None
     assert {run.arm.name for run in small.runs} == set(study.small.arms or (arm.name for arm in study.arms))
     assert len({run.config.hash for run in small.runs}) == len(small.runs)
 
 
 def test_the_hyperparameters_of_the_paper_are_those_of_the_recipes():
-    runs = plan_of(find_study("curricula_paper"), seeds=1).runs
+    runs = plan_of(training_study("curricula_paper"), seeds=1).runs
     for run in runs:
         named = recipe(f"{run.arm.name}_m")
         for section in ("env", "policy", "ppo", "curriculum", "rollout"):
@@ -58,7 +69,7 @@ def test_the_hyperparameters_of_the_paper_are_those_of_the_recipes():
 
 @pytest.mark.parametrize("name", OF_TRAINING)
 def test_the_command_of_an_arm_gives_its_configuration(name, tmp_path):
-    for study in (find_study(name), find_study(name).as_small):
+    for study in (training_study(name), training_study(name).as_small):
         for run in plan_of(study, seeds=1).runs:
             assert parse(train_arguments(run, study.recipe, tmp_path)).config == run.config
             arm = run.arm.name
@@ -229,7 +240,7 @@ def test_results_from_before_arms_had_their_own_steps_go_on(tmp_path, monkeypatc
 
 def test_the_small_version_keeps_the_shares_and_sets_of_arms(tmp_path, capsys):
     small = SMALL.replace("env_steps = 128", "env_steps = 256").replace("quickstart_s", "designed_s")
-    made = read_study(write(tmp_path, OWN_LENGTH + small)).as_small
+    made = read_training_study(write(tmp_path, OWN_LENGTH + small)).as_small
     assert [made.env_steps_of(arm.name) for arm in made.arms] == [256, 128]
     assert [made.sets_of(arm.name) for arm in made.arms] == [("designed_s",)] * 2
     line = refusal(capsys, write(tmp_path, OWN_LENGTH + SMALL), "--plan")
@@ -240,7 +251,7 @@ def test_the_small_version_keeps_the_shares_and_sets_of_arms(tmp_path, capsys):
 
 
 def test_the_small_version_has_its_own_name_and_overrides_arms(tmp_path):
-    small = read_study(write(tmp_path, TEXT + SMALL)).as_small
+    small = read_training_study(write(tmp_path, TEXT + SMALL)).as_small
     assert (small.name, small.env_steps, small.seeds, small.sets) == ("mine_small", 128, 1, ("quickstart_s",))
     assert [run.config.ppo.clip for run in plan_of(small).runs] == [0.4, 0.4]
     assert dataclasses.replace(small).small is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from kinetix_dist.sweep.effects import main_effects, mean_of_arms
+from kinetix_dist.sweep.effects import Error, Estimate, main_effects, mean_of_arms
 from kinetix_dist.sweep.factorial import two_level_design
 from tests.sweep.test_factorial import factorial, seven
 
@@ -15,7 +15,12 @@ def response(design, effects=TRUE, interactions=()):
     """[arms]: 1/2 plus half of each effect times its sign."""
     signs = dict(zip(design.names, design.levels.T))
     values = 0.5 + sum(effect / 2 * signs[name] for name, effect in effects.items())
-    return values + sum(effect / 2 * signs[a] * signs[b] for a, b, effect in interactions)
+    return np.asarray(values) + sum(effect / 2 * signs[a] * signs[b] for a, b, effect in interactions)
+
+
+def error_of(estimate: Estimate) -> Error:
+    assert estimate.error is not None
+    return estimate.error
 
 
 def by_name(estimates):
@@ -43,7 +48,7 @@ def test_other_seeds_of_the_fold_over_shift_no_effect():
     values = response(design) + np.where(np.arange(16) < 8, 0.0, 0.2)
     found = main_effects(design, values[:, None].tolist())
     assert by_name(found) == pytest.approx(TRUE, abs=1e-12)
-    assert found[0].error.standard_error == pytest.approx(0.0, abs=1e-12)
+    assert error_of(found[0]).standard_error == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_error_from_seeds_is_that_of_least_squares():
@@ -57,9 +62,9 @@ def test_the_error_from_seeds_is_that_of_least_squares():
     errors = np.sqrt(np.diag(np.linalg.inv(x.T @ x)) * residual)
     for index, estimate in enumerate(found, start=1):
         assert estimate.value == pytest.approx(2 * slopes[index])  # high less low is twice the slope
-        assert estimate.error.standard_error == pytest.approx(2 * errors[index])
-        assert estimate.error.degrees_of_freedom == 8
-        assert estimate.error.margin == pytest.approx(stats.t.ppf(0.975, 8) * 2 * errors[index])
+        assert error_of(estimate).standard_error == pytest.approx(2 * errors[index])
+        assert error_of(estimate).degrees_of_freedom == 8
+        assert error_of(estimate).margin == pytest.approx(stats.t.ppf(0.975, 8) * 2 * errors[index])
 
 
 def test_without_seeds_the_error_comes_from_contrasts_of_three_factors_or_more():
@@ -67,16 +72,16 @@ def test_without_seeds_the_error_comes_from_contrasts_of_three_factors_or_more()
     a, b, c = design.levels.T
     values = 0.5 + 0.15 * a + 0.1 * a * b + 0.01 * a * b * c  # contrasts are twice these
     found = main_effects(design, values[:, None].tolist())
-    assert found[0].error.standard_error == pytest.approx(0.02)  # not the 0.2 of a x b
-    assert (found[0].error.degrees_of_freedom, found[0].error.source) == (1, "contrasts of 3 factors or more")
+    assert error_of(found[0]).standard_error == pytest.approx(0.02)  # not the 0.2 of a x b
+    assert (error_of(found[0]).degrees_of_freedom, error_of(found[0]).source) == (1, "contrasts of 3 factors or more")
 
 
 def test_where_there_are_none_of_these_it_comes_from_those_of_two():
     design = two_level_design(factorial({"A": "", "B": ""}))
     a, b = design.levels.T
     found = main_effects(design, (0.5 + 0.15 * a + 0.01 * a * b)[:, None].tolist())
-    assert found[0].error.standard_error == pytest.approx(0.02)
-    folded = main_effects(seven(fold_over=True), np.zeros((16, 1)).tolist())[0].error
+    assert error_of(found[0]).standard_error == pytest.approx(0.02)
+    folded = error_of(main_effects(seven(fold_over=True), np.zeros((16, 1)).tolist())[0])
     assert (folded.degrees_of_freedom, folded.source) == (7, "contrasts of two factors")
 
 
@@ -89,7 +94,7 @@ def test_intervals_hold_the_true_effect_as_often_as_they_say():
     rng, design = np.random.default_rng(0), seven(fold_over=True)
     for seeds in (1, 2):
         held = [
-            abs(estimate.value) < estimate.error.margin
+            abs(estimate.value) < error_of(estimate).margin
             for _ in range(800)
             for estimate in main_effects(design, rng.normal(size=(16, seeds)).tolist())[:1]
         ]
@@ -100,7 +105,7 @@ def test_arms_of_a_list_share_the_variance_within_them():
     found = mean_of_arms({"a": [1.0, 3.0], "b": [10.0, 10.0], "c": [5.0]})
     assert [estimate.value for estimate in found] == [2.0, 10.0, 5.0]
     # (1 + 1 + 0) / 2 degrees of freedom
-    assert [estimate.error.standard_error for estimate in found] == pytest.approx([0.5**0.5, 0.5**0.5, 1.0])
+    assert [error_of(estimate).standard_error for estimate in found] == pytest.approx([0.5**0.5, 0.5**0.5, 1.0])
     assert all(estimate.error is None for estimate in mean_of_arms({"a": [1.0], "b": [2.0]}))
 
 

@@ -41,6 +41,7 @@ def test_what_is_written_is_read_back(tmp_path):
     assert path.name == "refresh_00000128.npz" and [*path.parent.iterdir()] == [path]
     snapshot = read_snapshot(path)
     assert (snapshot.kind, snapshot.number, snapshot.has_levels) == (REFRESH, 128, True)
+    assert snapshot.levels is not None
     for name, array in arrays.items():
         found = snapshot.levels[name.removeprefix("levels/")] if name.startswith("levels/") else snapshot.arrays[name]
         np.testing.assert_array_equal(found, array, strict=True)

@@ -257,7 +257,12 @@ def test_a_slow_disk_drops_rollouts_counts_them_and_never_stalls_the_caller(tmp_
     sink = McapSink(tmp_path / "a.mcap", max_queued=2, on_event=lambda name, fields: events.append((name, fields)))
     may_write = threading.Event()
     write_for_real = sink._writer.write
-    sink._writer.write = lambda rollout: (may_write.wait(), write_for_real(rollout))  # a disk that hangs
+
+    def write_late(rollout: Rollout) -> None:  # a disk that hangs
+        may_write.wait()
+        write_for_real(rollout)
+
+    sink._writer.write = write_late
     rollout = falling_rollout(5)
     sink.write(rollout)
     wait_until(lambda: not sink.stats().queued, "the thread takes the first, and hangs in it", every=0.001)
@@ -276,7 +281,11 @@ def test_a_disk_that_hangs_does_not_hold_up_the_end_of_training(tmp_path: Path) 
     events: list[str] = []
     sink = McapSink(tmp_path / "a.mcap", on_event=lambda name, fields: events.append(name))
     may_write = threading.Event()
-    sink._writer.write = lambda rollout: may_write.wait()
+
+    def write_never(rollout: Rollout) -> None:
+        may_write.wait()
+
+    sink._writer.write = write_never
     sink.write(falling_rollout(5))
     started = time.perf_counter()
     stats = sink.close(timeout=0.2)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
+from PIL.GifImagePlugin import GifImageFile
 
 from jax2d.palette import FIXED_SHADE, ROLE_PALETTE, THRUSTER_PALETTE
 from jax2d.rasteriser import DEFAULT_VIEW
@@ -65,6 +66,6 @@ def test_a_gif_plays_the_rollout_in_real_time(tmp_path: Path) -> None:
     write_rollout_gif(tmp_path / "a.gif", rollout, pixels_per_metre=20.0)
     with Image.open(tmp_path / "a.gif") as gif:
         durations = [frame.info["duration"] for frame in ImageSequence.Iterator(gif)]
-        assert gif.n_frames == 11  # every second state
+        assert isinstance(gif, GifImageFile) and gif.n_frames == 11  # every second state
     assert sum(durations[:-1]) == pytest.approx(1000 * 20 / 30, abs=5)
     assert durations[-1] == 1000

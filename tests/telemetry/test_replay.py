@@ -36,15 +36,14 @@ def still_rollout(num_steps: int, *, solved: bool) -> Rollout:
     def repeated(values: np.ndarray, count: int) -> np.ndarray:
         return np.tile(np.asarray(values, np.float32), (count, *[1] * np.ndim(values)))
 
-    states = {
-        name: repeated(getattr(level, name), num_steps + 1)
-        for name in ("position", "angle", "velocity", "angular_velocity")
-    }
     return Rollout(
         level=level,
         level_json=json.dumps(LEVEL),
         level_name="two_discs",
-        **states,
+        position=repeated(level.position, num_steps + 1),
+        angle=repeated(level.angle, num_steps + 1),
+        velocity=repeated(level.velocity, num_steps + 1),
+        angular_velocity=repeated(level.angular_velocity, num_steps + 1),
         actions=np.zeros((num_steps, 6), np.float32),
         motor=np.zeros((num_steps, *level.scene.joints.active.shape), np.float32),
         thruster=np.zeros((num_steps, *level.scene.thrusters.active.shape), np.float32),

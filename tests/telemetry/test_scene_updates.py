@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,7 +65,7 @@ def assert_alike(ours: np.ndarray, theirs: np.ndarray) -> None:
     assert (difference <= 1).mean() > 0.9  # fills are the same colours
 
 
-def falling(**scene_parts: object) -> Rollout:
+def falling(**scene_parts: Any) -> Rollout:
     """The rollout of worlds.py whose motor always drives forward: pictures show it in one colour."""
     rollout = falling_rollout(20)
     scene = dataclasses.replace(rollout.level.scene, **scene_parts)
@@ -113,14 +114,17 @@ def still(text: str) -> Rollout:
     """A step of a level in which nothing moves, and all motors and thrusters are driven."""
     decoded = decode_level(text)
     scene = decoded.scene
-    states = {
-        name: np.repeat(np.asarray(getattr(decoded, name), np.float32)[None], 2, axis=0)
-        for name in ("position", "angle", "velocity", "angular_velocity")
-    }
+
+    def twice(values: Any) -> np.ndarray:
+        return np.repeat(np.asarray(values, np.float32)[None], 2, axis=0)
+
     return dataclasses.replace(
         falling_rollout(1),
         level=decoded,
-        **states,
+        position=twice(decoded.position),
+        angle=twice(decoded.angle),
+        velocity=twice(decoded.velocity),
+        angular_velocity=twice(decoded.angular_velocity),
         motor=np.ones((1, *np.shape(scene.joints.active)), np.float32),
         thruster=np.ones((1, *np.shape(scene.thrusters.active)), np.float32),
     )
