@@ -1,8 +1,10 @@
-"""Layers: which package may import which. docs/architecture.md has the same table."""
+"""Which package may import which: the layers of the table in docs/architecture.md."""
 
 from __future__ import annotations
 
 import ast
+import itertools
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -11,37 +13,34 @@ import pytest
 from kinetix_dist import runtime
 from tests.helpers import REPOSITORY
 
-# A module may import layers to the right of its own, and its own package; siblings in one layer never see each other.
-LAYERS = (
-    ("__main__",),
-    ("cli",),
-    ("study",),
-    ("benchmarks", "finetune", "sweep"),
-    ("api", "delay", "recipes"),
-    ("runtime",),
-    ("studio",),
-    ("stored_specialists",),
-    ("data", "trained_policy"),
-    ("config",),
-    ("actors", "learner", "curator", "evaluation"),
-    ("messages",),
-    ("models",),
-    ("env",),
-    ("level",),
-    ("telemetry", "checkpoint"),
-    ("child_python", "jax_checks", "parent_death", "prng", "program_cache", "registry", "setting", "text_files"),
-    (
-        "atomic_files",
-        "errors",
-        "gymnasium_envs",
-        "installation",
-        "near_names",
-        "number_ranges",
-        "renamed_settings",
-        "user_directories",
-    ),
-)
-LAYER_OF = {part: number for number, parts in enumerate(LAYERS) for part in parts}
+PAGE = REPOSITORY / "docs" / "architecture.md"
+HEADER = ["| package | duty |", "|---|---|"]
+ROW = re.compile(r"\| (`\w+`(?:, `\w+`)*) \| [^|]*\w[^|]* \|")
+
+
+def layers_of(page: str) -> list[tuple[str, ...]]:
+    """Return the packages of each row of the page's table, from the top. Raise ValueError for a malformed table."""
+    lines = page.splitlines()
+    starts = [number for number in range(len(lines)) if lines[number : number + 2] == HEADER]
+    if len(starts) != 1:
+        raise ValueError(f"{PAGE.name} has {len(starts)} tables of packages; it needs exactly one, headed {HEADER[0]}")
+    rows = list(itertools.takewhile(lambda line: line.startswith("|"), lines[starts[0] + 2 :]))
+    layers = []
+    for row in rows:
+        match = ROW.fullmatch(row)
+        if match is None:
+            raise ValueError(f"{PAGE.name}: the row {row!r} must be | `package`, `package` | duty |")
+        layers.append(tuple(re.findall(r"\w+", match[1])))
+    names = [name for layer in layers for name in layer]
+    if not names:
+        raise ValueError(f"{PAGE.name}: the table of packages has no rows")
+    if repeated := {name for name in names if names.count(name) > 1}:
+        raise ValueError(f"{PAGE.name}: {', '.join(sorted(repeated))} must be in one row only")
+    return layers
+
+
+# A package may import the packages of the rows below its own, and itself; packages of one row never import each other.
+LAYER_OF = {name: number for number, layer in enumerate(layers_of(PAGE.read_text())) for name in layer}
 # Subpackages of packages that have them, and which of the others each may import.
 SUBPACKAGES = {
     "runtime": {"driver": {"cores", "processes"}, "cores": set(), "processes": set()},
@@ -109,12 +108,47 @@ def circles(graph: Mapping[str, set[str]]) -> set[frozenset[str]]:
     return {group for group in groups if len(group) > 1}
 
 
+def test_the_table_names_all_packages_and_nothing_else() -> None:
+    entries = (REPOSITORY / "kinetix_dist").iterdir()
+    names = {path.stem for path in entries if path.suffix == ".py" or (path / "__init__.py").is_file()} - {"__init__"}
+    assert set(LAYER_OF) == names
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        (["| `a` | duty |", "| b | duty |"], "must be"),
+        (["| `a`, b | duty |"], "must be"),
+        (["| `a` `b` | duty |"], "must be"),
+        (["| `a` | |"], "must be"),
+        (["| `a` |"], "must be"),
+        (["| `a` | duty | more |"], "must be"),
+        (["| `a`, `b` | duty |", "| `a` | duty |"], "a must be in one row only"),
+        ([], "has no rows"),
+        (["", *HEADER, "| `a` | duty |"], "has 2 tables"),
+    ],
+)
+def test_a_malformed_table_is_rejected(rows: list[str], problem: str) -> None:
+    with pytest.raises(ValueError, match=problem):
+        layers_of("\n".join([*HEADER, *rows]))
+
+
+def test_a_page_without_a_table_is_rejected() -> None:
+    with pytest.raises(ValueError, match="has 0 tables"):
+        layers_of("| `a` | duty |")
+
+
+def test_rows_of_a_table_are_layers_in_their_order() -> None:
+    page = "\n".join(["Text", *HEADER, "| `b`, `a` | two |", "| `c` | one |", "", "| `d` | of another table |"])
+    assert layers_of(page) == [("b", "a"), ("c",)]
+
+
 @pytest.mark.parametrize("file", SOURCES, ids=name_of)
 def test_a_module_imports_lower_layers_only(file: Path) -> None:
     own = part_of(module_of(file))
     if own is None:
         pytest.skip("not in a layer")
-    assert own in LAYER_OF, f"kinetix_dist/{own} is in no layer; put it into LAYERS and the README"
+    assert own in LAYER_OF, f"kinetix_dist/{own} is in no row of the table of {PAGE.name}; add it there"
     for module in imports(file):
         other = part_of(module)
         if other is None or other == own or other not in LAYER_OF:

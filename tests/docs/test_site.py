@@ -1,4 +1,4 @@
-"""The site of docs/: it builds without a warning, holds every page, and its table of packages is that of the layers."""
+"""The site of docs/: it builds without a warning and holds every page."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.test_layers import LAYERS
 from tests.helpers import REPOSITORY
 
 DOCS = REPOSITORY / "docs"
@@ -36,12 +35,6 @@ def test_every_page_is_in_the_navigation() -> None:
     )
     pages = {path.relative_to(DOCS).with_suffix("").as_posix() for path in DOCS.glob("**/*.md")} - {"index"}
     assert pages <= set(listed)
-
-
-def test_the_table_of_packages_is_that_of_the_layers() -> None:
-    page = (DOCS / "architecture.md").read_text()
-    rows = re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)
-    assert [tuple(re.findall(r"`(\w+)`", row)) for row in rows] == list(LAYERS)
 
 
 def test_there_are_twenty_terms_in_the_order_of_the_alphabet() -> None:
