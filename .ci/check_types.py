@@ -1,4 +1,4 @@
-"""Check types: no error outside tests, and in a package of tests at most its allowance, which can only shrink.
+"""Check types: packages have no error, and each package of tests at most its allowance, which can only shrink.
 
 Run pyrefly on the project in the current directory, with the settings of its pyproject.toml. The allowances are in
 `.ci/type_allowance.toml`. The check fails if a package has more errors than it may have, if it has fewer (lower the
@@ -24,6 +24,9 @@ ALLOWANCES = Path(".ci/type_allowance.toml")
 PACKAGE_OF_TESTS = re.compile(r"tests/\w+")
 # A shallow clone has no parent, and an unpacked release has no history: both skip the comparison with earlier commits.
 EARLIER_COMMITS = ("HEAD", "HEAD^")
+CHECKED_WHOLLY = ("jax2d", "kinetix_dist", "bench", "examples")
+IGNORE = re.compile(r"#\s*(?:type|pyrefly|pyright|mypy):\s*ignore")
+EXPLAINED = re.compile(r"# pyrefly: ignore ?\[[\w-]+\]  # \S")
 COUNTED_WITH = (3, 11)  # version of Python with which an allowance must be exact
 
 
@@ -49,6 +52,7 @@ def main() -> int:
         print(f"check_types: {error}", file=sys.stderr)
         return 2
     failures = list(excesses(errors, allowances))
+    failures += unexplained_ignores()
     failures += growth(
         allowances, [earlier for commit in EARLIER_COMMITS if (earlier := committed(commit)) is not None]
     )
@@ -109,6 +113,19 @@ def excesses(errors: Mapping[str, Sequence[Message]], allowances: Mapping[str, i
 
 def counted(number: int) -> str:
     return f"{number or 'no'} type error{'' if number == 1 else 's'}"
+
+
+def unexplained_ignores() -> list[str]:
+    """Return a line for each ignore outside tests that does not name one kind of error and a reason."""
+    lines = []
+    files = sorted(path for package in CHECKED_WHOLLY for path in Path(package).rglob("*.py"))
+    for path in files:
+        if any(part.startswith(".") for part in path.parts):  # bench/.peers: packages of others
+            continue
+        for number, text in enumerate(path.read_text().splitlines(), start=1):
+            if IGNORE.search(text) and not EXPLAINED.search(text):
+                lines.append(f"{path}:{number} must be written as `# pyrefly: ignore[KIND]  # REASON`")
+    return lines
 
 
 def growth(allowances: Mapping[str, int], earlier: Sequence[Mapping[str, int]]) -> list[str]:

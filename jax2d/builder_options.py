@@ -267,7 +267,8 @@ class MotorOptions:
         if self.speed is not None:
             speed = in_units("speed", number("speed", self.speed), settings, units.speed)
         else:
-            speed = number("motor_speed", self.motor_speed)  # type: ignore[arg-type]
+            # pyrefly: ignore[bad-argument-type]  # `one_of` above raises if both speeds are None
+            speed = number("motor_speed", self.motor_speed)
         if self.drive == "servo" and speed == 0:
             raise SceneError("a servo of speed 0 never moves; give the largest speed at which it goes to its position")
         if strength is not None:

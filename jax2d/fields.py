@@ -18,13 +18,16 @@ import dataclasses
 import functools
 import operator
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import jax
 import numpy as np
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 Array = Any  # jax.Array or numpy.ndarray: fields are traced, stored and compared alike
-Record = TypeVar("Record")
+Record = TypeVar("Record", bound="DataclassInstance")
 
 _KEY = "array"
 _PART = "part"
@@ -102,7 +105,7 @@ def field_of(kind: type, name: str) -> Field:
 def make(kind: type[Record], value: Callable[[Field], Any], _path: tuple[str, ...] = ()) -> Record:
     """A record of which every array is `value(field)`."""
     values = {}
-    for declared in dataclasses.fields(kind):  # type: ignore[arg-type]
+    for declared in dataclasses.fields(kind):
         path = (*_path, declared.name)
         if _PART in declared.metadata:
             values[declared.name] = make(declared.metadata[_PART], value, path)
@@ -145,7 +148,7 @@ def replace(record: Record, **changes: Any) -> Record:
         name: replace(getattr(record, name), **change) if isinstance(change, dict) else change
         for name, change in changes.items()
     }
-    return dataclasses.replace(record, **changes)  # type: ignore[type-var]
+    return dataclasses.replace(record, **changes)
 
 
 def _empty_array(field: Field, shape: tuple[int, ...]) -> np.ndarray:

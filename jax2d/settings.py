@@ -160,7 +160,7 @@ class Settings:
         if unknown := changes.keys() - set(names):
             near = difflib.get_close_matches(min(unknown), names, 1)
             raise ValueError(f"settings have no {min(unknown)}" + (f"; there is {near[0]}" if near else ""))
-        return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+        return dataclasses.replace(self, **changes)
 
 
 PRESETS: dict[str, Settings] = {

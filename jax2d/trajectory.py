@@ -232,7 +232,8 @@ class Trajectory:
         fine = np.where(np.isfinite(positions), positions, np.nanmin(positions))
         low, high = (fine - reach).min((0, 1)), (fine + reach).max((0, 1))
         margin = MARGIN * (high - low).max()
-        return tuple(float(x) for x in (*(low - margin), *(high + margin)))  # type: ignore[return-value]
+        (left, bottom), (right, top) = (low - margin).tolist(), (high + margin).tolist()
+        return left, bottom, right, top
 
     def _with_arrays(self, change: Callable[[np.ndarray], np.ndarray], **others: Any) -> Trajectory:
         """The trajectory with every array over time changed."""

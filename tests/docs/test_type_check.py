@@ -11,7 +11,7 @@ import pytest
 
 from tests.helpers import PATIENCE_S, REPOSITORY
 
-# A name of the error of pyrefly, and a module with that error alone.
+# Kind of an error, and a module with that error only.
 WRONG = {
     "bad-assignment": 'x: int = "a"\n',
     "bad-argument-type": 'def double(x: int) -> int:\n    return 2 * x\n\n\ny = double("a")\n',
@@ -19,7 +19,7 @@ WRONG = {
     "bad-return": 'def name() -> int:\n    return "a"\n',
 }
 RIGHT = "def double(x: int) -> int:\n    return 2 * x\n"
-PACKAGES = ("jax2d", "kinetix_dist", "bench", "examples", "tests/engine", "tests")
+OTHER_PACKAGES = ("jax2d", "bench", "examples", "tests/engine", "tests")
 
 
 def project(directory: Path, files: dict[str, str], allowances: str = "") -> Path:
@@ -67,8 +67,10 @@ def test_the_checker_finds_each_wrong_type(kind: str, tmp_path: Path) -> None:
     assert done.returncode == 1 and f"[{kind}]" in done.stdout
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-@pytest.mark.parametrize("kind", WRONG)
+@pytest.mark.parametrize(
+    ("kind", "package"),
+    [*((kind, "kinetix_dist") for kind in WRONG), *(("bad-return", package) for package in OTHER_PACKAGES)],
+)
 def test_each_wrong_type_fails_the_gate_in_each_package(kind: str, package: str, tmp_path: Path) -> None:
     done = gate(project(tmp_path, {f"{package}/wrong.py": WRONG[kind]}))
     assert done.returncode == 1
@@ -139,6 +141,31 @@ def test_a_checker_that_fails_is_no_pass(tmp_path: Path) -> None:
     (tmp_path / "pyproject.toml").write_text('[tool.pyrefly]\nproject-includes = ["nothing_here"]\n')
     done = gate(tmp_path)
     assert done.returncode == 2 and "pyrefly ended with status" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("comment", "is_explained"),
+    [
+        ("# pyrefly: ignore[bad-assignment]  # because", True),
+        ("# pyrefly: ignore[bad-assignment]", False),
+        ("# pyrefly: ignore  # because", False),
+        ("# type: ignore", False),
+        ("# type: ignore[assignment]  # because", False),
+    ],
+)
+def test_an_ignore_names_a_kind_and_a_reason(comment: str, is_explained: bool, tmp_path: Path) -> None:
+    done = gate(project(tmp_path, {"bench/ignored.py": f'x: int = "a"  {comment}\n'}))
+    line = "check_types: bench/ignored.py:1 must be written as `# pyrefly: ignore[KIND]  # REASON`\n"
+    assert (done.returncode, done.stderr) == ((0, "") if is_explained else (1, line))
+
+
+def test_packages_of_others_may_ignore_what_they_like(tmp_path: Path) -> None:
+    assert gate(project(tmp_path, {"bench/.peers/other.py": "x = 1  # type: ignore\n"})).returncode == 0
+
+
+def test_an_ignore_of_a_whole_file_is_refused(tmp_path: Path) -> None:
+    done = gate(project(tmp_path, {"bench/ignored.py": '# pyrefly: ignore-errors\nx: int = "a"\n'}))
+    assert done.returncode == 1 and "bench/ignored.py:1 must be written" in done.stderr
 
 
 def test_make_check_runs_the_gate() -> None:

@@ -60,7 +60,7 @@ class RolloutWriter:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._file = _WholeFlushes(path)
         self._writer = Writer(
-            self._file,  # type: ignore[arg-type]  # has what Writer uses: write, tell, flush
+            self._file,  # pyrefly: ignore[bad-argument-type]  # has what Writer uses: write, tell, flush
             chunk_size=CHUNK_BYTES,
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
