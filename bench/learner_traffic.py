@@ -41,7 +41,6 @@ from kinetix_dist.models.kernels.support import KernelError, compiling_for
 WORLDS = 2_048
 MINIBATCHES = 2  # so that the compiler keeps the loop over minibatches
 COPY_BYTES_A_SECOND = 4.3e12  # what a copy reaches on an H200
-# JAX takes whole numbers too, but declares strings and bools alone.
 COMPILER_OPTIONS: dict[str, Any] = {"xla_gpu_autotune_level": 0, "xla_gpu_enable_triton_gemm": False}
 
 # What the compiler asks of a device, see NVIDIA's data sheet and cudaGetDeviceProperties.

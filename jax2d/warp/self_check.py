@@ -13,7 +13,7 @@ import warp as wp
 @wp.kernel(enable_backward=False)
 def _double_of_index(doubled: wp.array(dtype=float)):  # pyrefly: ignore[invalid-annotation]  # Warp reads it
     i = wp.tid()
-    doubled[i] = 2.0 * float(i)  # pyrefly: ignore [bad-argument-type]  # an int in a launch of one dimension
+    doubled[i] = 2.0 * float(i)  # pyrefly: ignore[bad-argument-type]  # an int in a launch of one dimension
 
 
 def self_check() -> dict:

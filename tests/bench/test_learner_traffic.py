@@ -13,7 +13,6 @@ from jax.sharding import SingleDeviceSharding
 from bench import learner_traffic
 from bench.compiled_traffic import CompiledText, launches_of, loop_body
 from bench.learner_traffic import COMPILER_OPTIONS, by_part, h200, part_of
-from tests.helpers import present
 
 CAN_COMPILE = importlib.util.find_spec("jax_cuda13_plugin") is not None
 for_h200 = pytest.mark.skipif(not CAN_COMPILE, reason="compiling for an H200 needs the wheels of jax[cuda13]")
@@ -119,7 +118,9 @@ def compiled(function, *shapes: tuple[tuple[int, ...], jnp.dtype]) -> CompiledTe
     sharding = SingleDeviceSharding(h200())
     arguments = [jax.ShapeDtypeStruct(shape, dtype, sharding=sharding) for shape, dtype in shapes]
     lowered = jax.jit(function, out_shardings=sharding).lower(*arguments)
-    return CompiledText(present(lowered.compile(compiler_options=COMPILER_OPTIONS).as_text()))
+    text = lowered.compile(compiler_options=COMPILER_OPTIONS).as_text()
+    assert text is not None
+    return CompiledText(text)
 
 
 @for_h200
