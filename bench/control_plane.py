@@ -95,11 +95,11 @@ def measure(count: int, *, learns: bool = False) -> dict[str, object]:
         plans = [ProcessPlan(role=role, index=index, env_vars=ON_CPU) for index in range(count)]
         handles = backend.spawn(plans, build)
         started = time.monotonic() - began
-        backend.gather([handle.call("run_update", 0) for handle in handles])  # compiles, where there is what to
+        backend.gather([handle.call(Idle.run_update, 0) for handle in handles])  # compiles, where there is what to
         rounds, cpu = [], _cpu_seconds(handles)
         for number in range(ROUNDS):
             began = time.monotonic()
-            backend.gather([handle.call("run_update", number) for handle in handles])
+            backend.gather([handle.call(Idle.run_update, number) for handle in handles])
             rounds.append(time.monotonic() - began)
         cpu = _cpu_seconds(handles) - cpu
         memory = [psutil.Process(handle.pid).memory_full_info() for handle in handles if handle.pid is not None]

@@ -214,7 +214,7 @@ def _log_probs(env: Environment, outputs: Any, actions: Array, bound: dict[str, 
 def _is_like(env: Environment, modes: Array, actions: Array) -> Array:
     """[B, dimensions] bool; numbers of choices are like themselves alone."""
     space = env.action_space
-    reach = LIKE * (np.float32(space.high) - np.float32(space.low))
+    reach = LIKE * (np.asarray(space.high, np.float32) - np.asarray(space.low, np.float32))
     shape = (len(actions), space.num_dimensions)
     distance = jnp.abs(modes.astype(jnp.float32) - actions.astype(jnp.float32)).reshape(shape)
     return distance <= jnp.where(space.is_integer, 0.0, reach)

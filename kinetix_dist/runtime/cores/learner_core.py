@@ -132,7 +132,8 @@ class LearnerCore:
 
     def compile(self, static: Any, trajectory: Any, last_value: Any) -> None:
         """Compiles `learn` for arrays like these, of which shapes and shardings are enough."""
-        self._update.lower(self.shapes, static, trajectory, last_value).compile()
+        update: Any = self._update  # made by jax.jit; `Update` describes only its call
+        update.lower(self.shapes, static, trajectory, last_value).compile()
 
 
 def check_imitated(config: TrainConfig, env: Environment) -> None:

@@ -46,11 +46,15 @@ def samples_of_proofs(config: TrainConfig, env: Environment) -> Samples:
         static.append(jax.tree.map(lambda x: np.asarray(x)[0], prepared.static_obs))
         bound.append(np.asarray(prepared.bound_heads)[0])
         parts.append((dynamic, np.full(len(actions), number, np.int32), actions, returns))
+    dynamic_obs, level, actions, returns = jax.tree.map(lambda *x: np.concatenate(x), *parts)
     return Samples(
-        jax.tree.map(lambda *x: np.stack(x), *static),
-        *jax.tree.map(lambda *x: np.concatenate(x), *parts),
-        np.ones(sum(len(part[2]) for part in parts), np.float32),
-        np.stack(bound),
+        static_obs=jax.tree.map(lambda *x: np.stack(x), *static),
+        dynamic_obs=dynamic_obs,
+        level=level,
+        actions=actions,
+        returns=returns,
+        has_return=np.ones(len(returns), np.float32),
+        bound_heads=np.stack(bound),
     )
 
 

@@ -122,9 +122,11 @@ class RolloutCore:
         if config.rollout.reset_every == 1:
             self.program = self._on_mesh(self._play_shard, key, (whole, whole, whole), (batch, worlds, whole))
         else:
-            specs = (whole, whole, worlds, whole), (batch, worlds, whole)
-            self.program = self._on_mesh(self._go_on_shard, key, *specs)
-            key = key and dataclasses.replace(key, depends_on=(*key.depends_on, "reset"))
+            inputs = whole, whole, worlds, whole
+            self.program = self._on_mesh(self._go_on_shard, key, inputs, (batch, worlds, whole))
+            if key is not None:
+                assert isinstance(key.depends_on, tuple), "see `rollout_core`"
+                key = dataclasses.replace(key, depends_on=(*key.depends_on, "reset"))
             self._reset = self._on_mesh(self._reset_shard, key, (whole, whole), worlds)
 
     def _on_mesh(

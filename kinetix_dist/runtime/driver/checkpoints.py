@@ -141,13 +141,12 @@ def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter
             f"none of the {len(rejected)} checkpoints in {run.checkpoints} can be used (see above); nothing was "
             f"changed: put back a good copy of one, or start a new run with another --run"
         )
-    about = None if checkpoint is None else checkpoint.description
-    if about is None or has_same_numbers(config, about["config"], about["config_hash"]):
+    if checkpoint is None or _has_same_numbers(config, checkpoint):
         for bad in rejected:
             _set_aside(bad.path, reporter)
         return checkpoint
     try:
-        theirs = from_dict(about["config"])
+        theirs = from_dict(checkpoint.description["config"])
     except ConfigError as error:
         raise CheckpointError(f"checkpoint {checkpoint.path} cannot be resumed: {error}") from error
     if fields := differences(config, theirs):
@@ -156,6 +155,10 @@ def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter
         f"checkpoint {checkpoint.path} was written by an older version, whose config had other fields: what it does "
         "may have changed, so that training cannot go on from it; start a new run (`kinetix-dist eval` still plays it)"
     )
+
+
+def _has_same_numbers(config: TrainConfig, checkpoint: Checkpoint) -> bool:
+    return has_same_numbers(config, checkpoint.description["config"], checkpoint.description["config_hash"])
 
 
 def _set_aside(path: Path, reporter: Reporter) -> None:

@@ -6,16 +6,18 @@ same order.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Concatenate
 
 import numpy as np
 
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_worker
 from kinetix_dist.runtime.cores.imitation import Imitated
+from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.roles import Refresh
-from kinetix_dist.runtime.processes.backend import Backend, Future, Handle
+from kinetix_dist.runtime.processes.backend import Backend
+from kinetix_dist.runtime.processes.calls import Future, Handle, P, T
 from kinetix_dist.runtime.processes.placement import Placement, ProcessPlan
 
 
@@ -35,7 +37,7 @@ class ColocatedTrainer:
         self._config = config
         self.backend = backend
         self._plans = plans
-        self._handles: list[Handle] = []
+        self._handles: Sequence[Handle[Worker]] = []
 
     def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
         """A group is started as a whole: the processes of a broken one are ended first, whichever still live."""
@@ -45,22 +47,22 @@ class ColocatedTrainer:
         # refresh that was in flight.
         ahead_of = num_updates if self.backend.works_in_background else None
         self._handles = self.backend.spawn(self._plans, build_worker, self._config, ahead_of)
-        self._all("start", None if arrays is None else self.backend.put(dict(arrays)))
+        self._all(Worker.start, None if arrays is None else self.backend.put(dict(arrays)).as_argument())
 
     def place(self, placement: Placement) -> None:
         self._plans = placement.of("worker")
 
-    def weights(self) -> Future:
-        return self._handles[0].call("released")
+    def weights(self) -> Future[Any]:
+        return self._handles[0].call(Worker.released)
 
     def adopt(self, parts: Sequence[Any]) -> None:
-        self._all("adopt", *parts)
+        self._all(Worker.adopt, *parts)
 
-    def probe(self, num_levels: int) -> Future:
-        return self._handles[0].call("probe", num_levels)
+    def probe(self, num_levels: int) -> Future[Any]:
+        return self._handles[0].call(Worker.probe, num_levels)
 
-    def refresh_input(self) -> Future:
-        return self._handles[0].call("refresh_input")
+    def refresh_input(self) -> Future[Any]:
+        return self._handles[0].call(Worker.refresh_input)
 
     def refresh(self, weights: Any, policy_version: int, probe: Any, given: Any) -> Refresh:
         """Refreshes on the workers, as a curator would (see `Curator.request`); waits for it."""
@@ -71,7 +73,7 @@ class ColocatedTrainer:
         last = num_parts - 1  # it has no more batches to score than the others
         calls = [
             handle.call_with_header(
-                "refresh", weights, policy_version, part, num_parts, probe if part == last else None, given
+                Worker.refresh, weights, policy_version, part, num_parts, probe if part == last else None, given
             )
             for part, handle in enumerate(self._handles[:num_parts])
         ]
@@ -80,47 +82,49 @@ class ColocatedTrainer:
         has_probes = self._config.curriculum_log.probe_levels > 0 and later is not None and not times.is_first(later)
         if probe is None and has_probes and self.backend.works_in_background:
             # A later one has. Its program is compiled, once, while updates go on; what fails there fails again.
-            self._handles[last].call_in_background("prepare_refresh", later)
+            self._handles[last].call_in_background(Worker.prepare_refresh, later)
         return Refresh.of([part for _, part in calls], headers)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
-        answers = self._all("run_update", num_updates)
+        answers = self._all(Worker.run_update, num_updates)
         metrics, _, attempts = answers[0]
         slowest = {role: max(seconds[role] for _, seconds, _ in answers) for role in answers[0][1]}
         return metrics | {"runtime/policy_lag": 0.0, "runtime/policy_lag_max": 0.0}, slowest, attempts
 
     def imitate(self, steps: int) -> tuple[Imitated, dict[str, Any]]:
-        return self._first("imitate", steps)
+        return self._first(Worker.imitate, steps)
 
     def check(self) -> None:
         self.backend.check(self._handles)
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        worlds = self._all("ongoing_worlds")
-        return self._first("snapshot") | {name: np.concatenate([part[name] for part in worlds]) for name in worlds[0]}
+        worlds = self._all(Worker.ongoing_worlds)
+        return self._first(Worker.snapshot) | {
+            name: np.concatenate([part[name] for part in worlds]) for name in worlds[0]
+        }
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, Any]]:
-        return self._first("evaluate", use_policy)
+        return self._first(Worker.evaluate, use_policy)
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
-        return self._first("record", num_rollouts, num_updates)
+        return self._first(Worker.record, num_rollouts, num_updates)
 
     def topology(self) -> dict[str, Any]:
         return {
             "placement": self._config.run.placement,
             "processes": len(self._handles),
-            **learning_devices(self._first("facts")),
+            **learning_devices(self._first(Worker.facts)),
         }
 
     def facts(self) -> dict[str, Any]:
-        return {**self._first("facts"), "processes": self.backend.facts(self._handles)}
+        return {**self._first(Worker.facts), "processes": self.backend.facts(self._handles)}
 
     def stop(self) -> None:
         self.backend.kill(self._handles)
         self._handles = []
 
-    def _first(self, method: str, *arguments: Any) -> Any:
-        return self.backend.gather([self._handles[0].call(method, *arguments)])[0]
+    def _first(self, method: Callable[Concatenate[Worker, P], T], *arguments: P.args, **named: P.kwargs) -> T:
+        return self.backend.gather([self._handles[0].call(method, *arguments, **named)])[0]
 
-    def _all(self, method: str, *arguments: Any) -> list[Any]:
-        return self.backend.gather([handle.call(method, *arguments) for handle in self._handles])
+    def _all(self, method: Callable[Concatenate[Worker, P], T], *arguments: P.args, **named: P.kwargs) -> list[T]:
+        return self.backend.gather([handle.call(method, *arguments, **named) for handle in self._handles])

@@ -24,11 +24,13 @@ from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.cores.build import build_evaluator
+from kinetix_dist.runtime.cores.evaluator import EvaluatorCore
 from kinetix_dist.runtime.cores.run_names import nested
 from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.totals import RoleClock
-from kinetix_dist.runtime.processes.backend import BackgroundProcess, resolve
+from kinetix_dist.runtime.processes.backend import BackgroundProcess
+from kinetix_dist.runtime.processes.calls import resolve
 from kinetix_dist.runtime.processes.failures import WorkerLostError
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.recording import Rollout
@@ -39,6 +41,10 @@ MAX_WAITING = 4
 POLL_S = 0.02
 EVALUATING = "evaluating"  # arrays of a checkpoint: weights of the requests
 EVALUATE, RECORD = "evaluate", "record"
+METHODS: Mapping[str, Callable[[EvaluatorCore, Any, int], tuple[Mapping[str, Any], Any]]] = {
+    EVALUATE: EvaluatorCore.evaluate,
+    RECORD: EvaluatorCore.record,
+}
 LOOKED_UNTIL = "evaluations_looked_until"  # in a checkpoint: s of training after its warm-up, see `Due`
 
 
@@ -58,7 +64,7 @@ class Evaluated:
     seconds: float
 
 
-class Evaluations(BackgroundProcess):
+class Evaluations(BackgroundProcess[EvaluatorCore]):
     """Evaluations and recordings of one run by the evaluator process."""
 
     def __init__(
@@ -128,7 +134,8 @@ class Evaluations(BackgroundProcess):
 
     def _send(self) -> None:
         job = self._jobs[0]
-        self._call = self._started(build_evaluator).call_with_header(job.kind, job.weights, job.update)
+        evaluator = self._started(build_evaluator)
+        self._call = evaluator.call_with_header(METHODS[job.kind], job.weights, job.update)
 
     def _is_answered(self, *, must_wait: bool) -> bool:
         assert self._call is not None
@@ -142,7 +149,8 @@ class Evaluations(BackgroundProcess):
     def _taken(self) -> list[Evaluated]:
         assert self._call is not None
         job = self._jobs[0]
-        header, content = self._backend.gather(self._call)
+        answers: list[Any] = self._backend.gather(self._call)
+        header, content = answers
         self._jobs.pop(0)
         self._call = None
         self._note_recovery()

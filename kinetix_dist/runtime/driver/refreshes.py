@@ -38,6 +38,7 @@ from kinetix_dist.config import TrainConfig
 from kinetix_dist.config.phases import Phase
 from kinetix_dist.errors import one_line
 from kinetix_dist.runtime.cores.build import build_curator
+from kinetix_dist.runtime.cores.curator_core import CuratorCore
 from kinetix_dist.runtime.cores.run_names import nested
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.roles import Curator, Refresh, Trainer
@@ -45,7 +46,8 @@ from kinetix_dist.runtime.driver.run_data import RunData
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.stopping import StopSignals
 from kinetix_dist.runtime.driver.totals import RoleClock
-from kinetix_dist.runtime.processes.backend import Backend, BackgroundProcess, Future, resolve
+from kinetix_dist.runtime.processes.backend import Backend, BackgroundProcess
+from kinetix_dist.runtime.processes.calls import Future, resolve
 from kinetix_dist.runtime.processes.failures import InputLostError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 
@@ -341,8 +343,8 @@ class CuratorClient:
             process.request(stored, policy_version, probe if process is self.processes[-1] else None, given)
         self._missing, self._parts = set(self.processes), {}
 
-    def _stored(self, content: Any) -> Future:
-        return content if hasattr(content, "fetch") else self._backend.put(content)
+    def _stored(self, content: Any) -> Future[Any]:
+        return content if isinstance(content, Future) else self._backend.put(content)
 
     def watch(self) -> None:
         for process in self.processes:
@@ -369,7 +371,7 @@ class CuratorClient:
         for process in self.processes:
             process.cancel()
         self._missing: set[CuratorProcess] = set()  # those that have not answered the last request
-        self._parts: dict[CuratorProcess, tuple[Future, dict[str, Any]]] = {}  # those that have: parts, headers
+        self._parts: dict[CuratorProcess, tuple[Future[Any], dict[str, Any]]] = {}  # those that have: parts, headers
 
     def facts(self) -> list[dict[str, Any]]:
         return [fact for process in self.processes for fact in process.facts()]
@@ -379,18 +381,18 @@ class CuratorClient:
             process.stop()
 
 
-class CuratorProcess(BackgroundProcess):
+class CuratorProcess(BackgroundProcess[CuratorCore]):
     """Part `part` of `num_parts` of every refresh."""
 
     def __init__(self, config: TrainConfig, backend: Backend, plan: ProcessPlan, *, part: int, num_parts: int) -> None:
         super().__init__(config, backend, plan)
         self._part, self._num_parts = part, num_parts
         # Of the refresh that is wanted: weights, version, levels to play again or None, what it works from or None.
-        self._requested: tuple[Future, int, Any, Any] | None = None
+        self._requested: tuple[Future[Any], int, Any, Any] | None = None
         self._is_wanted = False  # whether what the process is at is the refresh that is wanted
         self.is_late = False  # it was lost or waited for in vain, and has not answered since
 
-    def request(self, weights: Future, policy_version: int, probe: Any, given: Any) -> None:
+    def request(self, weights: Future[Any], policy_version: int, probe: Any, given: Any) -> None:
         """Starts a refresh; does not wait where there is a process to do it."""
         self.cancel()
         self._requested = (weights, policy_version, probe, given)
@@ -404,7 +406,7 @@ class CuratorProcess(BackgroundProcess):
         if self._call is not None:
             self._look()
 
-    def poll(self, patience_s: float | None) -> tuple[Future, dict[str, Any]] | None:
+    def poll(self, patience_s: float | None) -> tuple[Future[Any], dict[str, Any]] | None:
         """Part of the refresh and its timing, see `CuratorCore.refresh`; None where it is not there yet. Does not wait.
 
         The process `is_late` where it was lost, or is silent for more than `patience_s`.
@@ -452,7 +454,7 @@ class CuratorProcess(BackgroundProcess):
                 self._send()
         return silence
 
-    def _taken(self, header: Future) -> dict[str, Any]:
+    def _taken(self, header: Future[dict[str, Any]]) -> dict[str, Any]:
         taken = self._backend.gather([header])[0]
         self._prepare()
         self._call = self._requested = None
@@ -470,14 +472,13 @@ class CuratorProcess(BackgroundProcess):
             times = self._config.refresh_times
             later = times.next(policy_version + 1)
             if later is not None and not times.is_first(later):
-                self._handle.call("prepare", later)
+                self._handle.call(CuratorCore.prepare, later)
 
     def _send(self) -> None:
         assert self._requested is not None
         weights, policy_version, probe, given = self._requested
-        part = (self._part, self._num_parts)
         self._call = self._started(build_curator).call_with_header(
-            "refresh", weights, policy_version, *part, probe, given
+            CuratorCore.refresh, weights, policy_version, self._part, self._num_parts, probe, given
         )
         self._is_wanted = True
 

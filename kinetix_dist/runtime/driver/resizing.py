@@ -151,12 +151,14 @@ class Resizing:
             for num_learners in range(others[0], 0, -1) if others else [0]:
                 number = size - num_learners
                 if least_first <= number <= first:
-                    found = {"num_workers": number}
                     if others:
                         on_cpu = min(run.num_cpu_rollout_actors, number)  # GPUs are rarer: they are given up first
-                        found = {"num_rollout_actors": number, "num_cpu_rollout_actors": on_cpu}
-                        found["num_learners"] = num_learners
-                    yield dataclasses.replace(self._config, run=dataclasses.replace(run, **found))
+                        smaller = dataclasses.replace(
+                            run, num_rollout_actors=number, num_cpu_rollout_actors=on_cpu, num_learners=num_learners
+                        )
+                    else:
+                        smaller = dataclasses.replace(run, num_workers=number)
+                    yield dataclasses.replace(self._config, run=smaller)
 
     @property
     def _requested_size(self) -> int:

@@ -17,8 +17,12 @@ class Trainer(Protocol):
     """Plays and learns."""
 
     policy_lag: int
-    dropped_steps: int
     backend: Backend
+
+    @property
+    def dropped_steps(self) -> int:
+        """Environment steps that were played and never learned from."""
+        ...
 
     def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
         """Builds everything at an update boundary: from a checkpoint's arrays, or afresh. Also after a loss."""
@@ -82,7 +86,10 @@ class Refresh:
 class Curator(Protocol):
     """Refreshes the curriculum: processes in the background, each with a part of it, or those that train."""
 
-    works_in_background: bool  # while training goes on
+    @property
+    def works_in_background(self) -> bool:
+        """True if it works while training continues."""
+        ...
 
     def request(self, weights: Any, policy_version: int, probe: Any, given: Any) -> None:
         """Requests a refresh and does not wait: processes in the background begin now, those that train when it is

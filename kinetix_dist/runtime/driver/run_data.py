@@ -112,7 +112,7 @@ class RunData:
             log = self._curriculum(first_batch).refresh_log(self._phase(first_batch).curriculum, parts)
             if log is None:
                 return None
-            known = {"first_batch": np.int32(first_batch), "scoring_seconds": np.float64(refresh.seconds)}
+            known = {"first_batch": np.array(first_batch, np.int32), "scoring_seconds": np.array(refresh.seconds)}
             return log | known | {f"probe/{name}": array for name, array in refresh.probe.items()}
 
         self._write_snapshot(REFRESH, num_updates, self._phase(first_batch), arrays)
@@ -127,7 +127,7 @@ class RunData:
 
             def buffer() -> dict[str, np.ndarray] | None:
                 log = kind.buffer_log(state)  # a state counts updates since it began
-                return None if log is None else log | {"policy_version": np.int32(num_updates)}
+                return None if log is None else log | {"policy_version": np.array(num_updates, np.int32)}
 
             self._write_snapshot(BUFFER, num_updates, self._phase(num_updates), buffer)
 
@@ -302,7 +302,7 @@ class OutcomeWindow:
         """The line of what is there after so many updates, if there is any; the next window begins."""
         if not self._counts:
             return []
-        line = {"format": OUTCOMES_FORMAT, "update": num_updates, "from_update": self._from_update}
+        line: dict[str, Any] = {"format": OUTCOMES_FORMAT, "update": num_updates, "from_update": self._from_update}
         if self._buffer is not None:
             line["buffer"] = self._buffer
         num_sources = len(self._sources)

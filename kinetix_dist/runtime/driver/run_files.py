@@ -112,10 +112,8 @@ class SnapshotSink:
         if arrays is None:
             return
         levels = {name: array for name, array in arrays.items() if name.startswith(LEVELS)}
-        arrays = (
-            snapshot.known | {"written_after": np.int32(snapshot.written_after), "level_id": level_ids(levels)} | arrays
-        )
-        write_snapshot(self._directory, snapshot.kind, int(arrays["policy_version"]), arrays)
+        about = {**snapshot.known, "written_after": np.int32(snapshot.written_after), "level_id": level_ids(levels)}
+        write_snapshot(self._directory, snapshot.kind, int(arrays["policy_version"]), about | arrays)
         thin_snapshots(self._directory, snapshot.kind, self._max_snapshots)
 
     def open(self) -> SnapshotSink:

@@ -20,18 +20,23 @@ again by a new actor with the same weights and comes out the same.
 
 from __future__ import annotations
 
+import functools
+import operator
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Concatenate
 
 import numpy as np
 
 from kinetix_dist.checkpoint import flatten_arrays, select_arrays
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.runtime.cores.build import build_learner, build_rollout
+from kinetix_dist.runtime.cores.rollout_core import Batch
 from kinetix_dist.runtime.cores.rollout_sums import BY_SOURCE
 from kinetix_dist.runtime.cores.run_names import ACTING, PROPOSING, nested
+from kinetix_dist.runtime.cores.split_core import RolloutWorker
+from kinetix_dist.runtime.cores.worker import LearnerWorker
 from kinetix_dist.runtime.driver.colocated import learning_devices
 from kinetix_dist.runtime.driver.work_buffer import (
     Stragglers,
@@ -42,9 +47,13 @@ from kinetix_dist.runtime.driver.work_buffer import (
     copy_metrics,
     straggler_metrics,
 )
-from kinetix_dist.runtime.processes.backend import Backend, Future, Group, Handle, resolve
+from kinetix_dist.runtime.processes.backend import Backend
+from kinetix_dist.runtime.processes.calls import Future, Group, Handle, P, T, resolve
 from kinetix_dist.runtime.processes.failures import InputLostError, Loss, WorkerLostError
 from kinetix_dist.runtime.processes.placement import Placement
+
+_Part = tuple[Future[dict[str, Any]], Future[tuple[Batch, Any]]]
+_CopiesOfPart = dict[str, tuple[int, float]]
 
 _MAX_REPLACEMENTS = 3  # of a rollout actor in a row, without a part of a batch from it
 
@@ -68,8 +77,8 @@ class SplitTrainer:
         self.backend = backend
         self._on_event = on_event
         self.place(placement)
-        self._learners: list[Handle] = []
-        self._actors: list[Handle] = []
+        self._learners: list[Handle[LearnerWorker]] = []
+        self._actors: list[Handle[RolloutWorker]] = []
         self._dropped_before = 0
         self._reset()
 
@@ -80,12 +89,14 @@ class SplitTrainer:
     def start(self, num_updates: int, arrays: Mapping[str, np.ndarray] | None) -> None:
         self.stop()
         self._reset()
-        learners = Group(self._learner_plans, build_learner, (self._config,))
-        actors = Group(self._rollout_plans, build_rollout, (self._config, len(self._rollout_plans)))
-        self._learners, self._actors = self.backend.spawn_groups([learners, actors])
-        stored = None if arrays is None else self.backend.put(dict(arrays))
-        self._from_learners("start", stored)
-        self._weights.publish(num_updates, self._learners[0].call("weights"))
+        learners, actors = self.backend.spawn_both(
+            Group(self._learner_plans, build_learner, self._config),
+            Group(self._rollout_plans, build_rollout, self._config, len(self._rollout_plans)),
+        )
+        self._learners, self._actors = [*learners], [*actors]
+        start = None if arrays is None else self.backend.put(dict(arrays)).as_argument()
+        self._from_learners(LearnerWorker.start, start)
+        self._weights.publish(num_updates, self._learners[0].call(LearnerWorker.weights))
         if arrays is not None and num_updates > 0:
             # The batch that was being played when the checkpoint was taken: same weights, same state.
             acting = nested(select_arrays(arrays, ACTING))
@@ -93,27 +104,27 @@ class SplitTrainer:
             state = self._proposing(num_updates)
             if self._observes(num_updates):
                 stored = self.backend.put(select_arrays(arrays, PROPOSING))
-                state = self._learners[0].call("state_from", num_updates, stored)
+                state = self._learners[0].call(LearnerWorker.state_from, num_updates, stored.as_argument())
             self._issue(num_updates, num_updates - 1, state)
 
     def place(self, placement: Placement) -> None:
         self._learner_plans = placement.of("learner")
         self._rollout_plans = placement.of("rollout")
 
-    def weights(self) -> Future:
+    def weights(self) -> Future[Any]:
         if self._config.ppo.average_updates:
-            return self._learners[0].call("released")
+            return self._learners[0].call(LearnerWorker.released)
         return self._weights.newest
 
     def adopt(self, parts: Sequence[Any]) -> None:
-        self._from_learners("adopt", *parts)
+        self._from_learners(LearnerWorker.adopt, *parts)
         self._state_since = None
 
-    def probe(self, num_levels: int) -> Future:
-        return self._learners[0].call("probe", num_levels)
+    def probe(self, num_levels: int) -> Future[Any]:
+        return self._learners[0].call(LearnerWorker.probe, num_levels)
 
-    def refresh_input(self) -> Future:
-        return self._learners[0].call("refresh_input")
+    def refresh_input(self) -> Future[Any]:
+        return self._learners[0].call(LearnerWorker.refresh_input)
 
     def run_update(self, num_updates: int) -> tuple[dict[str, float], dict[str, float], dict[str, np.ndarray]]:
         began = time.monotonic()
@@ -129,7 +140,7 @@ class SplitTrainer:
         answered = [{**header, "seconds": header["answered"]} for header in played]
         self._stragglers.add(num_updates + 1, answered)
         sums = [header["sums"] for header in played]
-        learning = [learner.call_with_header("learn", num_updates, *sums) for learner in self._learners]
+        learning = [learner.call_with_header(LearnerWorker.learn, num_updates, *sums) for learner in self._learners]
         self._receive(num_updates + 1, until=[header for header, _ in learning])
         learned = self.backend.gather([header for header, _ in learning])
         del self._orders[num_updates]
@@ -137,7 +148,7 @@ class SplitTrainer:
         if self._observes(num_updates):
             self._state_since = None
         lags = [num_updates - work.policy_version for work in works]
-        metrics = {
+        metrics: dict[str, float] = {
             **learned[0]["metrics"],
             "runtime/policy_lag": float(np.mean(lags)),
             "runtime/policy_lag_max": float(max(lags)),
@@ -150,7 +161,7 @@ class SplitTrainer:
         seconds = {"learn": learned, "rollout": played}
         slowest = {role: max(header["seconds"] for header in headers) for role, headers in seconds.items()}
         by_part = [part[BY_SOURCE] for part in sums]
-        attempts = {name: sum(part[name] for part in by_part) for name in by_part[0]}
+        attempts = {name: functools.reduce(operator.add, [part[name] for part in by_part]) for name in by_part[0]}
         return metrics, slowest, attempts
 
     def check(self) -> None:
@@ -158,7 +169,7 @@ class SplitTrainer:
         self.backend.check(self._learners)
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        arrays = self._from_first("snapshot")
+        arrays = self._from_first(LearnerWorker.snapshot)
         acting_version = max(self._weights_in_flight(), default=None)
         if acting_version is not None:
             arrays |= flatten_arrays({ACTING: resolve(self._weights.get(acting_version))})
@@ -168,13 +179,13 @@ class SplitTrainer:
         return arrays
 
     def evaluate(self, *, use_policy: bool) -> dict[str, dict[str, Any]]:
-        return self._from_first("evaluate", use_policy)
+        return self._from_first(LearnerWorker.evaluate, use_policy)
 
     def record(self, num_rollouts: int, num_updates: int) -> list[Any]:
-        return self._from_first("record", num_rollouts, num_updates)
+        return self._from_first(LearnerWorker.record, num_rollouts, num_updates)
 
     def topology(self) -> dict[str, Any]:
-        devices = learning_devices(self._from_first("facts"))
+        devices = learning_devices(self._from_first(LearnerWorker.facts))
         processes = len(self._learners) + len(self._actors)
         parts = {"learners": len(self._learners), "rollout_actors": self._actors_in_words()}
         return {"placement": "split", "processes": processes, **parts, **devices}
@@ -186,7 +197,10 @@ class SplitTrainer:
         return number if self._learner_plans[0].gpu is None or not num_on_cpu else f"{number} ({num_on_cpu} on CPU)"
 
     def facts(self) -> dict[str, Any]:
-        return {**self._from_first("facts"), "processes": self.backend.facts([*self._learners, *self._actors])}
+        return {
+            **self._from_first(LearnerWorker.facts),
+            "processes": self.backend.facts([*self._learners, *self._actors]),
+        }
 
     def stop(self) -> None:
         handles = [*self._actors, *self._learners]
@@ -202,9 +216,10 @@ class SplitTrainer:
         self._weights = WeightStore(keep_last=2)
         # By update: the policy version and the state of the curriculum that its batch is played with.
         self._orders: dict[int, tuple[int, Any]] = {}
-        self._in_flight: dict[tuple[int, int], tuple[Future, Future]] = {}  # (update, part) -> header, batch
+        self._in_flight: dict[tuple[int, int], _Part] = {}  # (update, part) -> header, batch
         self._ordered_at: dict[tuple[int, int], float] = {}  # (update, part) -> time.monotonic()
-        self._staging: dict[int, list[list[Future]]] = {}  # by update: for each part that came, answers of learners
+        # By update: for each part that came, the answers of all learners.
+        self._staging: dict[int, list[list[Future[_CopiesOfPart]]]] = {}
         self._losses: dict[int, list[Loss]] = {}  # by part: since its actor gave something
         self._num_replaced: Counter[int] = Counter()  # by part, since then
         self._state: Any = None  # of the curriculum, as it was last fetched
@@ -219,19 +234,23 @@ class SplitTrainer:
         """State of the curriculum that proposes a batch which is ordered now."""
         since = self._schedule.at(batch).curriculum_since
         if self._state_since != since:
-            self._state, self._state_since = self._learners[0].call("curriculum_state", batch), since
+            self._state, self._state_since = self._learners[0].call(LearnerWorker.curriculum_state, batch), since
         return self._state
 
     def _weights_in_flight(self) -> list[int]:
         return [version for version, _ in self._orders.values()]
 
-    def _from_first(self, method: str, *arguments: Any) -> Any:
-        """Answer of the first learner about state that all of them hold."""
-        return self.backend.gather([self._learners[0].call(method, *arguments)])[0]
+    def _from_first(
+        self, method: Callable[Concatenate[LearnerWorker, P], T], *arguments: P.args, **named: P.kwargs
+    ) -> T:
+        """Return the first learner's answer about state that all learners hold."""
+        return self.backend.gather([self._learners[0].call(method, *arguments, **named)])[0]
 
-    def _from_learners(self, method: str, *arguments: Any) -> list[Any]:
-        """Answers of all learners to a call that they make together."""
-        return self.backend.gather([learner.call(method, *arguments) for learner in self._learners])
+    def _from_learners(
+        self, method: Callable[Concatenate[LearnerWorker, P], T], *arguments: P.args, **named: P.kwargs
+    ) -> list[T]:
+        """Return the answers of all learners to a collective call."""
+        return self.backend.gather([learner.call(method, *arguments, **named) for learner in self._learners])
 
     def _issue(self, update: int, policy_version: int, state: Any) -> None:
         """Orders batch `update` from all rollout actors, its levels proposed by `state` of the curriculum."""
@@ -244,10 +263,10 @@ class SplitTrainer:
         weights = self._weights.get(policy_version)
         self._ordered_at[update, part] = time.monotonic()
         self._in_flight[update, part] = self._actors[part].call_with_header(
-            "play", update, policy_version, weights, state
+            RolloutWorker.play, update, policy_version, weights, state
         )
 
-    def _receive(self, update: int, *, until: Sequence[Future] = ()) -> None:
+    def _receive(self, update: int, *, until: Sequence[Future[Any]] = ()) -> None:
         """Parts of a batch as they come: all of them, or those that are there before one of `until` is answered.
 
         An actor that is lost is replaced and plays its parts again.
@@ -274,9 +293,9 @@ class SplitTrainer:
 
     def _accept(self, update: int, part: int) -> WorkerLostError | None:
         """Takes a part that is answered and hands it on to all learners; or returns why there is none."""
-        header, content = self._in_flight[update, part]
+        answer, content = self._in_flight[update, part]
         try:
-            header = self.backend.gather([header])[0]
+            header = self.backend.gather([answer])[0]
         except InputLostError:  # the learner's: the actor is well
             raise
         except WorkerLostError as error:
@@ -284,14 +303,17 @@ class SplitTrainer:
         del self._in_flight[update, part]
         header |= {"answered": time.monotonic() - self._ordered_at.pop((update, part))}
         self._work.put(Work(update=update, part=part, header=header))
-        call = ("stage", update, part, len(self._actors), content)
-        self._staging.setdefault(update, []).append([learner.call_in_background(*call) for learner in self._learners])
+        staging = [
+            learner.call_in_background(LearnerWorker.stage, update, part, len(self._actors), content)
+            for learner in self._learners
+        ]
+        self._staging.setdefault(update, []).append(staging)
         self._num_replaced.pop(part, None)
         for loss in self._losses.pop(part, []):
             self.backend.losses.recovered(loss, update=self.backend.losses.update)
         return None
 
-    def _staged(self, update: int) -> list[list[dict[str, tuple[int, float]]]]:
+    def _staged(self, update: int) -> list[list[_CopiesOfPart]]:
         """Waits until a batch lies on the devices of all learners: by part, what each of them copied."""
         by_part = self._staging.pop(update)
         answers = iter(self.backend.gather([future for futures in by_part for future in futures]))

@@ -22,6 +22,7 @@ import ray
 
 from kinetix_dist.child_python import imported_from
 from kinetix_dist.models.kernels.support import KernelError
+from kinetix_dist.runtime.processes.calls import Call
 from kinetix_dist.runtime.processes.failures import failure_of
 from kinetix_dist.runtime.processes.gpu_memory import Budget, budget_of, this_gpu
 from kinetix_dist.runtime.processes.measures import Meter, Reading, facts_of, whereabouts
@@ -136,33 +137,33 @@ class ProcessActor:
         with self._failures("build"):
             self._core = self._build(*self._arguments)
 
-    def call(self, method: str, *arguments: Any) -> Any:
-        """`core.method(*arguments)`. What it returns is numpy or plain Python."""
+    def call(self, method: str, /, *arguments: Any, **named: Any) -> Any:
+        """Call the core. The answer is numpy or plain Python."""
         with self._failures(method), self._meter.calling(method):
-            answer = getattr(self._core, method)(*arguments)
-            self._meter.moved(arguments, answer)
+            answer = Call(method, arguments, named).on(self._core)
+            self._meter.moved(arguments, named, answer)
             return answer
 
-    def call_with_header(self, method: str, *arguments: Any) -> Generator[Any]:
+    def call_with_header(self, method: str, /, *arguments: Any, **named: Any) -> Generator[Any]:
         """Calls a method that returns (header, content); gives content, then header with the cost of storing content.
 
         Ray stores what a generator gives before it resumes it.
         """
         with self._failures(method), self._meter.calling(method):
-            header, content = getattr(self._core, method)(*arguments)
-            self._meter.moved(arguments, content)
+            header, content = Call(method, arguments, named).on(self._core)
+            self._meter.moved(arguments, named, content)
             began = time.monotonic()
             yield content
             yield {**header, "put": (bytes_of(content), time.monotonic() - began)}
 
     @ray.method(concurrency_group="background")
-    def call_in_background(self, method: str, *arguments: Any) -> Any:
-        """`core.method(*arguments)` while another call runs. What is in the object store the method fetches."""
-        for argument in arguments:
+    def call_in_background(self, method: str, /, *arguments: Any, **named: Any) -> Any:
+        """Call the core while another call runs. The method fetches its arguments from the object store."""
+        for argument in (*arguments, *named.values()):
             if isinstance(argument, InStore):
                 argument.on_fetched = self._meter.moved
         with self._failures(method):
-            return getattr(self._core, method)(*arguments)
+            return Call(method, arguments, named).on(self._core)
 
     def facts(self) -> dict[str, Any]:
         with self._failures("facts"):

@@ -172,7 +172,7 @@ def facts_of(process: str, budget: Budget | None) -> dict[str, Any]:
     import jax
 
     device = jax.local_devices()[0]
-    facts = {"process": process, "device": device.device_kind, **whereabouts(budget)}
+    facts: dict[str, Any] = {"process": process, "device": device.device_kind, **whereabouts(budget)}
     statistics = (device.memory_stats() if device.platform == "gpu" else None) or {}
     measured = {"pool": statistics.get("bytes_limit"), "pool_peak": statistics.get("peak_bytes_in_use")}
     memory = {name: value // MIB for name, value in measured.items() if value is not None}

@@ -233,8 +233,8 @@ def nodes_in_words() -> str:
 
 
 def _in_words(resources: Mapping[str, float]) -> str:
-    resources = _resources(resources)
-    return f"{resources.cpus} CPU slots, {resources.gpus} GPUs"
+    slots = _resources(resources)
+    return f"{slots.cpus} CPU slots, {slots.gpus} GPUs"
 
 
 def _resources(resources: Mapping[str, float]) -> Resources:

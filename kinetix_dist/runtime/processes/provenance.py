@@ -146,9 +146,9 @@ def _look(mark: str) -> dict[str, Any]:
     found: dict[str, Any] = {"host": socket.gethostname()}
     directory = os.path.dirname(mark)
     try:
-        from kinetix_dist.runtime.processes.provenance import versions_and_code
+        from kinetix_dist.runtime.processes import provenance
 
-        found["versions"] = versions_and_code()
+        found["versions"] = provenance.versions_and_code()
     except Exception as error:  # of whatever is installed there
         found["error"] = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
     deadline = time.monotonic() + 5.0  # a network file system may show a new file a little later

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import itertools
 import logging
 import math
@@ -18,8 +17,9 @@ import ray
 import ray.util
 from ray.util.scheduling_strategies import PlacementGroupSchedulingStrategy
 
-from kinetix_dist.runtime.processes.actor import InStore, ProcessActor
-from kinetix_dist.runtime.processes.backend import Group, Sections
+from kinetix_dist.runtime.processes.actor import ProcessActor
+from kinetix_dist.runtime.processes.backend import Backend, OtherCore, Sections
+from kinetix_dist.runtime.processes.calls import Core, Future, Group, Handle, T, Ts
 from kinetix_dist.runtime.processes.failures import Losses, RayFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.fork_server import ForkServer
 from kinetix_dist.runtime.processes.measures import refuse_other_imports
@@ -34,6 +34,7 @@ from kinetix_dist.runtime.processes.placement import (
     nodes_in_words,
     total_resources,
 )
+from kinetix_dist.runtime.processes.ray_calls import RayFuture, RayHandle, actors_of, future_of_ray, handle_of_ray
 from kinetix_dist.runtime.processes.ray_setup import (
     job_of_this_import_path,
     joining,
@@ -54,58 +55,7 @@ GROUP_GRACE_S = 30.0  # a silent process is this backend's to notice; so much la
 PASSED_ON = ("NCCL_", "GLOO_")
 
 
-@dataclasses.dataclass(frozen=True)
-class RayFuture:
-    """A reference into the object store."""
-
-    reference: Any
-    actor: Any = None
-    backend: Any = None
-
-    def fetch(self) -> Any:
-        if self.backend is None:
-            return ray.get(self.reference)
-        return self.backend.gather([self])[0]
-
-    def fetch_in_thread(self) -> Any:
-        return ray.get(self.reference)
-
-    def is_ready(self) -> bool:
-        return bool(ray.wait([self.reference], timeout=0)[0])
-
-
-class RayHandle:
-    """A core in an actor."""
-
-    def __init__(self, plan: ProcessPlan, actor: Any, pid: int | None, backend: RayBackend) -> None:
-        """pid: None while it starts."""
-        self.plan = plan
-        self.actor = actor
-        self.pid = pid
-        self.process: psutil.Process | None = None  # the same, where it is known and on this machine
-        self.starting: list[Any] = []  # references to its first calls, where no call waits for them
-        self._backend = backend
-
-    def started_as(self, pid: int) -> None:
-        self.pid = pid
-        if self._backend.is_on_this_machine:
-            with contextlib.suppress(psutil.NoSuchProcess):  # it has ended already
-                self.process = psutil.Process(pid)
-
-    def call(self, method: str, *arguments: Any) -> RayFuture:
-        return RayFuture(self.actor.call.remote(method, *_references(arguments)), self.actor, self._backend)
-
-    def call_with_header(self, method: str, *arguments: Any) -> tuple[RayFuture, RayFuture]:
-        call = self.actor.call_with_header.options(num_returns=2)
-        content, header = call.remote(method, *_references(arguments))
-        return RayFuture(header, self.actor, self._backend), RayFuture(content, self.actor, self._backend)
-
-    def call_in_background(self, method: str, *arguments: Any) -> RayFuture:
-        given = [InStore(argument.reference) if isinstance(argument, RayFuture) else argument for argument in arguments]
-        return RayFuture(self.actor.call_in_background.remote(method, *given), self.actor, self._backend)
-
-
-class RayBackend:
+class RayBackend(Backend):
     """Connects to the cluster in `RAY_ADDRESS`, or starts Ray on this machine, on loopback and without a dashboard."""
 
     works_in_background = True
@@ -249,34 +199,46 @@ class RayBackend:
                 )
             time.sleep(CPUS_POLL_S)
 
-    def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[RayHandle]:
-        return self.spawn_groups([Group(plans, build, arguments)])[0]
-
-    def spawn_groups(self, groups: Sequence[Group]) -> list[list[RayHandle]]:
-        self._check_ray()
-        started = [
-            [self._create(plan, group.build, len(group.plans), group.arguments) for plan in group.plans]
-            for group in groups
-        ]
-        try:
-            self._start(started)
-        except BaseException:
-            self.kill(list(itertools.chain(*started)))
-            raise
+    def spawn(
+        self, plans: Sequence[ProcessPlan], build: Callable[[int, int, *Ts], Core], *arguments: *Ts
+    ) -> list[RayHandle[Core]]:
+        started = self._created(Group(plans, build, *arguments))
+        self._start(started)
         return started
 
-    def _create(self, plan: ProcessPlan, build: Callable[..., Any], group: int, arguments: Sequence[Any]) -> RayHandle:
-        actor = ProcessActor.options(**self._options(plan)).remote(plan, build, plan.index, group, *arguments)
+    def spawn_both(
+        self, first: Group[Core], second: Group[OtherCore]
+    ) -> tuple[list[RayHandle[Core]], list[RayHandle[OtherCore]]]:
+        started = self._created(first), self._created(second)
+        self._start(*started)
+        return started
+
+    def _created(self, group: Group[Core]) -> list[RayHandle[Core]]:
+        self._check_ray()
+        return [self._create(plan, group) for plan in group.plans]
+
+    def _create(self, plan: ProcessPlan, group: Group[Core]) -> RayHandle[Core]:
+        actor_class: Any = ProcessActor  # ray.remote made another class of it, which type checkers do not see
+        create = actor_class.options(**self._options(plan)).remote
+        actor = create(plan, group.build, plan.index, len(group.plans), *group.arguments)
         self._supervisor.add(actor, plan.name)
         self._readings.add(actor)
-        return RayHandle(plan, actor, None, self)
+        return RayHandle(plan, actor, self)
 
-    def _start(self, groups: Sequence[Sequence[RayHandle]]) -> None:
+    def _start(self, *groups: Sequence[RayHandle[Any]]) -> None:
+        """Start the cores of processes. Ends all of them if one fails."""
+        try:
+            self._start_cores(groups)
+        except BaseException:
+            self.kill(list(itertools.chain(*groups)))
+            raise
+
+    def _start_cores(self, groups: Sequence[Sequence[RayHandle[Any]]]) -> None:
         handles = list(itertools.chain(*groups))
         actors = [handle.actor for handle in handles]
         # Pings first: a process that dies in a later call could not be seen to be gone by its number.
         for handle, pid in zip(handles, self._all(actors, [actor.ping.remote() for actor in actors]), strict=True):
-            handle.started_as(pid)
+            handle.started_as(pid, is_here=self.is_on_this_machine)
         started = self._all(actors, [actor.prepare.remote() for actor in actors])
         for handle, where in zip(handles, started, strict=True):
             self._note_started(handle, where)
@@ -295,19 +257,21 @@ class RayBackend:
     def _all(self, actors: Sequence[Any], references: Sequence[Any]) -> list[Any]:
         return self._supervisor.gather(list(zip(references, actors, strict=True)))
 
-    def spawn_in_background(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> RayHandle:
-        self._check_ray()
-        handle = self._create(plan, build, 1, arguments)
+    def spawn_in_background(
+        self, plan: ProcessPlan, build: Callable[[int, int, *Ts], Core], *arguments: *Ts
+    ) -> RayHandle[Core]:
+        (handle,) = self._created(Group([plan], build, *arguments))
         handle.starting = [handle.actor.prepare.remote(), handle.actor.build.remote()]
         return handle
 
-    def check(self, handles: Sequence[RayHandle]) -> None:
-        self._supervisor.check_alive([handle.actor for handle in handles])
+    def check(self, handles: Sequence[Handle[Any]]) -> None:
+        self._supervisor.check_alive(actors_of(handles))
 
-    def check_limit(self, handles: Sequence[RayHandle]) -> None:
-        self._supervisor.check_limit([handle.actor for handle in handles])
+    def check_limit(self, handles: Sequence[Handle[Any]]) -> None:
+        self._supervisor.check_limit(actors_of(handles))
 
-    def watch(self, handle: RayHandle, future: RayFuture) -> float:
+    def watch(self, handle: Handle[Any], future: Future[Any]) -> float:
+        handle = handle_of_ray(handle)
         if not future.is_ready():
             self._note_start(handle)
             silence = self._supervisor.silence(handle.actor, ping_every_s=0.0)
@@ -320,20 +284,20 @@ class RayBackend:
         self.gather([future])
         return 0.0
 
-    def _note_start(self, handle: RayHandle) -> None:
+    def _note_start(self, handle: RayHandle[Any]) -> None:
         """Notes a process that has started in the background."""
         if handle.pid is None and ray.wait(handle.starting[:1], timeout=0)[0]:
             where = self._supervisor.gather([(handle.starting[0], handle.actor)])[0]
-            handle.started_as(where["pid"])
+            handle.started_as(where["pid"], is_here=self.is_on_this_machine)
             self._note_started(handle, where)
 
-    def _note_started(self, handle: RayHandle, where: dict[str, Any]) -> None:
+    def _note_started(self, handle: RayHandle[Any], where: dict[str, Any]) -> None:
         refuse_other_imports(handle.plan.name, where)
         self.losses.started(handle.plan.name, where)
         self._on_event("process_started", process=handle.plan.name, **where)
 
-    def facts(self, handles: Sequence[RayHandle]) -> list[dict[str, Any]]:
-        actors = [handle.actor for handle in handles]
+    def facts(self, handles: Sequence[Handle[Any]]) -> list[dict[str, Any]]:
+        actors = actors_of(handles)
         return self._all(actors, [actor.facts.remote() for actor in actors])
 
     def measures(self) -> dict[str, float]:
@@ -361,27 +325,30 @@ class RayBackend:
             )
         return options
 
-    def put(self, value: Any) -> RayFuture:
+    def put(self, value: T) -> RayFuture[T]:
         return RayFuture(ray.put(value))
 
-    def gather(self, futures: Sequence[RayFuture]) -> list[Any]:
+    def gather(self, futures: Sequence[Future[T]]) -> list[T]:
         self._check_ray()
-        return self._supervisor.gather([(future.reference, future.actor) for future in futures])
+        return self._supervisor.gather([(future.reference, future.actor) for future in map(future_of_ray, futures)])
 
-    def first_ready(self, futures: Sequence[RayFuture], *, watched: Sequence[RayHandle] = ()) -> list[RayFuture]:
-        calls = [(future.reference, future.actor) for future in futures]
-        ready = set(self._supervisor.first_ready(calls, watched=[handle.actor for handle in watched]))
-        return [future for future in futures if future.reference in ready]
+    def first_ready(self, futures: Sequence[Future[Any]], *, watched: Sequence[Handle[Any]] = ()) -> list[Future[Any]]:
+        references = [future_of_ray(future).reference for future in futures]
+        actors = [future_of_ray(future).actor for future in futures]
+        calls = list(zip(references, actors, strict=True))
+        ready = set(self._supervisor.first_ready(calls, watched=actors_of(watched)))
+        return [future for future, reference in zip(futures, references, strict=True) if reference in ready]
 
-    def kill(self, handles: Sequence[RayHandle]) -> None:
+    def kill(self, handles: Sequence[Handle[Any]]) -> None:
         """SIGKILL, then polls until every process of this host is gone: a dying one can still hold GPU memory."""
-        self._supervisor.remove([handle.actor for handle in handles])
-        self._readings.remove([handle.actor for handle in handles])
+        actors = actors_of(handles)
+        self._supervisor.remove(actors)
+        self._readings.remove(actors)
         if not self._lost_servers():  # without them the call would wait for a minute
-            for handle in handles:
-                ray.kill(handle.actor, no_restart=True)
+            for actor in actors:
+                ray.kill(actor, no_restart=True)
         if self.is_on_this_machine:
-            processes = [handle.process for handle in handles if handle.process is not None]
+            processes = [process for handle in handles if (process := handle_of_ray(handle).process) is not None]
             _kill_all(processes)  # a Ray that is ending does nothing more, and may take long
             left = wait_until_gone(processes)
             if left:
@@ -437,9 +404,5 @@ def _kill_all(processes: Iterable[psutil.Process]) -> None:
             process.kill()
 
 
-def _joins(group: Sequence[RayHandle]) -> bool:
+def _joins(group: Sequence[RayHandle[Any]]) -> bool:
     return len(group) > 1 and group[0].plan.joins_group
-
-
-def _references(arguments: Sequence[Any]) -> list[Any]:
-    return [argument.reference if isinstance(argument, RayFuture) else argument for argument in arguments]

@@ -86,8 +86,9 @@ def joining(address: str) -> Generator[None]:
         )
     import ray.exceptions
 
+    held = bytearray()
     try:
-        with _console_held_back() as held:
+        with _console_held_back(held):
             yield
     except (ConnectionError, ray.exceptions.AuthenticationError) as error:
         held.clear()  # twenty lines from C++ that say the same
@@ -112,15 +113,14 @@ def joining(address: str) -> Generator[None]:
 
 
 @contextlib.contextmanager
-def _console_held_back() -> Generator[bytearray]:
-    """Holds back the console: text written to stderr inside, by C++ too, is in the bytearray afterwards."""
-    held = bytearray()
+def _console_held_back(held: bytearray) -> Generator[None]:
+    """Hold back the console: append text that the block writes to stderr, in C++ too, to `held`."""
     sys.stderr.flush()
     console = os.dup(2)
     with tempfile.TemporaryFile() as file:
         os.dup2(file.fileno(), 2)
         try:
-            yield held
+            yield
         finally:
             sys.stderr.flush()
             os.dup2(console, 2)
