@@ -39,7 +39,8 @@ def files_outside_of_closures() -> dict[str, list[str]]:
         worker = Worker(config, data_mesh(jax.devices()[:1]))
         learner = worker._learner
         _, batch = worker._playing.rollout(config).traced(learner.shapes.params, worker._state_of(0).shapes)
-        learner._update.trace(learner.shapes, *batch)
+        update: Any = learner._update  # made by jax.jit
+        update.trace(learner.shapes, *batch)
     return outside
 
 

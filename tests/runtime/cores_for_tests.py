@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 
 class Facts:
@@ -74,6 +74,12 @@ class HangingStamp(dict[str, Any]):
         return iter(self.keys())
 
 
+class Stored(Protocol):
+    """An array in the object store."""
+
+    def fetch(self) -> Any: ...
+
+
 class Compiler:
     """Compiles a program over all devices of its group, with compiled programs on disk; can do nothing."""
 
@@ -126,7 +132,7 @@ class Compiler:
             time.sleep(0.01)
         return self._handed.nbytes
 
-    def hand(self, content: Any) -> None:
+    def hand(self, content: Stored) -> None:
         """content: fetched here."""
         self._handed = content.fetch()
 

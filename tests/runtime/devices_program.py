@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from typing import Any
 
 import jax
 import numpy as np
@@ -58,19 +59,23 @@ def play_and_learn(curriculum: str, num_devices: int) -> dict[str, np.ndarray]:
     if kind.refreshes:
         worker.adopt(kind.refresh_part(worker._learner.params, 0, jax.random.key(0), 0, 1))
     rollout = worker._playing.rollout(worker._config)
-    batch, (proposal, _), sums, _ = rollout.play(worker._learner.params, worker._state_of(0).on_devices, 0)
+    batch, seen, sums, _ = rollout.play(worker._learner.params, worker._state_of(0).on_devices, 0)
+    assert seen is not None
+    levels = seen[0].levels
 
     def once(x: jax.Array, axis: int = 0) -> np.ndarray:
         return np.take(np.asarray(x), rollout.division.gathered(x.shape[axis]), axis=axis)
 
-    found = {"levels": jax.tree.map(once, proposal.levels), "actions": once(batch.trajectory.actions, axis=1)}
+    found = {"levels": jax.tree.map(once, levels), "actions": once(batch.trajectory.actions, axis=1)}
     rows = [worker.run_update(number)[0] for number in range(NUM_UPDATES)]
     return flatten_arrays({**found, "sums": jax.device_get(sums), "metrics": rows[-1]}) | worker.snapshot()
 
 
 def main() -> None:
     out, curriculum, *counts = sys.argv[1:]
-    found = {f"{count}:{name}": x for count in counts for name, x in play_and_learn(curriculum, int(count)).items()}
+    found: dict[str, Any] = {}
+    for count in counts:
+        found |= {f"{count}:{name}": x for name, x in play_and_learn(curriculum, int(count)).items()}
     np.savez(out, **found)
 
 

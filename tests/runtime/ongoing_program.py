@@ -29,7 +29,7 @@ def main() -> None:
     train(config, cut, resume=True)
     ours, theirs = final_arrays(cut), final_arrays(path)
     differing = sorted({*ours} ^ {*theirs}) + [
-        name for name in theirs if not np.array_equal(ours.get(name), theirs[name])
+        name for name in theirs if name in ours and not np.array_equal(ours[name], theirs[name])
     ]
     print(json.dumps({"devices": len(jax.devices()), "differing": differing, "arrays": len(theirs)}))
 

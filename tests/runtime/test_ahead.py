@@ -6,7 +6,7 @@ import contextvars
 import dataclasses
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -21,7 +21,9 @@ from kinetix_dist.runtime.cores.programs import THREAD, Ahead
 from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.processes.actor import _doing
-from kinetix_dist.runtime.processes.local import LocalBackend
+from kinetix_dist.runtime.processes.calls import Call
+from kinetix_dist.runtime.processes.local import LocalBackend, LocalFuture, LocalHandle
+from kinetix_dist.runtime.processes.placement import ProcessPlan
 from tests.runtime.runs import tiny_config
 
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
@@ -32,9 +34,9 @@ def lowered() -> Iterator[list[tuple[str, str]]]:
     """(function, thread) of every program that is lowered meanwhile."""
     found: list[tuple[str, str]] = []
 
-    def listen(event: str, duration: float, **details: str | int) -> None:
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         if event == LOWERED:
-            found.append((str(details["fun_name"]), threading.current_thread().name))
+            found.append((str(kwargs["fun_name"]), threading.current_thread().name))
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     yield found
@@ -122,36 +124,38 @@ def test_an_error_of_a_compilation_is_raised_by_the_call_that_runs_the_program(p
         getattr(worker, call)(*arguments)
 
 
-class _Handle:
-    """Handle of a process that answers nothing."""
+class _Handle(LocalHandle[Any]):
+    """Handle of a process that only keeps its calls."""
 
     def __init__(self) -> None:
+        super().__init__(ProcessPlan(role="worker", index=0), None)
         self.calls: list[tuple[Any, ...]] = []
 
-    def call(self, *call: Any) -> None:
-        self.calls.append(call)
+    def _call(self, call: Call) -> LocalFuture[None]:
+        self.calls.append((call.method, *call.arguments))
+        return LocalFuture(None)
+
+
+class _Backend(LocalBackend):
+    """Starts no core, and keeps arguments of its build."""
+
+    def __init__(self, *, works_in_background: bool) -> None:
+        super().__init__()
+        self.works_in_background = works_in_background
+        self.handle = _Handle()
+        self.built_with: tuple[Any, ...] = ()
+
+    def spawn(self, plans: Sequence[ProcessPlan], build: Callable[..., Any], *arguments: Any) -> list[LocalHandle[Any]]:
+        self.built_with = arguments
+        return [self.handle]
 
 
 @pytest.mark.parametrize("works_in_background", [False, True])
-def test_workers_in_the_background_know_which_update_comes_first(works_in_background):
-    handle = _Handle()
-
-    class Backend(LocalBackend):
-        def spawn(self, plans: Any, build: Any, *arguments: Any) -> list[Any]:
-            handle.call("build", *arguments)
-            return [handle]
-
-        def gather(self, tickets: Any) -> list[Any]:
-            return tickets
-
-        def kill(self, handles: Any) -> None:
-            pass
-
-    backend = Backend()
-    backend.works_in_background = works_in_background
-    config = tiny_config(num_updates=8)
+def test_workers_in_the_background_know_which_update_comes_first(works_in_background: bool) -> None:
+    backend, config = _Backend(works_in_background=works_in_background), tiny_config(num_updates=8)
     ColocatedTrainer(config, backend, []).start(7, None)
-    assert handle.calls == [("build", config, 7 if works_in_background else None), ("start", None)]
+    assert backend.built_with == (config, 7 if works_in_background else None)
+    assert backend.handle.calls == [("start", None)]
 
 
 def test_kernels_are_launched_as_they_were_traced_in_whatever_thread():
@@ -201,7 +205,11 @@ def test_waiting_for_programs_raises_errors_of_their_compilation():
 def test_who_waits_for_programs_is_said_to_compile():
     """Else the limit of an update would end a run whose programs take longer."""
     programs, may_end = Ahead(), threading.Event()
-    programs.begin(lambda: may_end.wait() and None)
+
+    def wait() -> None:
+        may_end.wait()
+
+    programs.begin(wait)
     waiting = threading.Thread(target=programs.wait)
     waiting.start()
     try:

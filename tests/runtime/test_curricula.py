@@ -98,7 +98,8 @@ def test_a_run_that_goes_on_from_its_middle_equals_an_unbroken_one(name, tmp_pat
         assert levels == {("refresh", 0): 8, ("refresh", 2): 2, ("buffer", 3): 8, ("buffer", 5): 8}
     if name == "paired":
         assert after["curriculum/teacher/num_updates"] == after["curriculum/antagonist/num_updates"] == NUM_UPDATES
-        checkpoint = newest_good(tmp_path / "cut" / "checkpoints")[0]
+        checkpoint, _ = newest_good(tmp_path / "cut" / "checkpoints")
+        assert checkpoint is not None
         builds = teacher_levels(checkpoint, config.curriculum, SIZES[config.env.size]).generate(jax.random.key(0), 2)
         assert np.isfinite(builds.position).all()
         ours, theirs = ({part: after[part] for part in after if part.startswith(whose)} for whose in STUDENTS)

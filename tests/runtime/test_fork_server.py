@@ -58,7 +58,6 @@ def launch(tmp_path):
             )
         return out
 
-    launched.script = tmp_path / "default_worker.py"
     return launched
 
 
@@ -82,14 +81,14 @@ def test_a_forked_process_has_what_it_was_given_and_everything_imported(server, 
 
 
 @pytest.mark.parametrize("case", ["none is named", "it is gone", "it has other settings of JAX"])
-def test_where_nothing_can_be_forked_ray_sets_the_process_up(server, launch, case):
+def test_where_nothing_can_be_forked_ray_sets_the_process_up(server, launch, case, tmp_path):
     variables = {
         "none is named": {},
         "it is gone": {SERVER: "missing"},
         "it has other settings of JAX": {**server.environment, "JAX_ENABLE_X64": "1"},
     }
     *rest, last = _lines(launch(variables[case]), 2 if case == "it is gone" else 1)
-    assert last == "set up by Ray ['" + str(launch.script) + "', '--one=a b', '--language=PYTHON']"
+    assert last == "set up by Ray ['" + str(tmp_path / "default_worker.py") + "', '--one=a b', '--language=PYTHON']"
     assert not rest or "no fork server" in rest[0]
 
 

@@ -15,10 +15,11 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 
 import pytest
 from rich.console import Console
-from tensorboardX.proto.event_pb2 import Event
+from tensorboardX.proto.event_pb2 import Event  # pyrefly: ignore[missing-module-attribute]  # protobuf makes it at import
 
 from kinetix_dist.checkpoint import list_checkpoints, newest_good
 from kinetix_dist.cli.main import main
@@ -84,7 +85,7 @@ def _wait_until_dropped(reporter, num_rows):
 class _HookedReporter(RunReporter):
     """Calls `at_update(number)` after each update."""
 
-    at_update = staticmethod(lambda number: None)
+    at_update: Callable[[int], None]
 
     def metrics(self, num_updates, metrics, seconds_left):
         super().metrics(num_updates, metrics, seconds_left)
@@ -131,7 +132,7 @@ def test_training_goes_on_for_100_updates_on_a_full_disk_and_all_files_after_it(
         assert recovered["dropped"] == last - first and recovered["time"] >= failing["time"]
     assert [row["update"] for row in _events(run.path, "checkpoint_failed")] == [20, 40, 60, 80, 100]
     checkpoint, rejected = newest_good(run.checkpoints)
-    assert checkpoint.description["num_updates"] == 110 and not rejected
+    assert checkpoint is not None and checkpoint.description["num_updates"] == 110 and not rejected
     assert [path.name for path in run.checkpoints.iterdir()] == ["00000110"]  # no drafts are left
 
 

@@ -38,7 +38,11 @@ MEASURED_CONTEXT, MEASURED_PROGRAMS = 560 * MIB, 250 * MIB
 
 def _budgets(config, num_gpus=1, gpu=H200):
     placement = plan_placement(config, num_gpus=num_gpus)
-    return {process.name: budget_of(process.name, process.memory, gpu) for process in placement.processes}
+    budgets = {}
+    for process in placement.processes:
+        assert process.memory is not None
+        budgets[process.name] = budget_of(process.name, process.memory, gpu)
+    return budgets
 
 
 def _with_run(config, **fields):

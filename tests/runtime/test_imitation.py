@@ -38,7 +38,7 @@ def level(tmp_path: Path) -> Path:
     return file
 
 
-def config_of(level: Path, **run: object) -> TrainConfig:
+def config_of(level: Path, **run: Any) -> TrainConfig:
     """Recipe `teach`, whose own network is small."""
     base = recipe("teach")
     return dataclasses.replace(

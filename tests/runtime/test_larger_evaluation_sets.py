@@ -67,6 +67,7 @@ def test_an_evaluator_has_memory_for_its_largest_set():
     alone, with_larger = (
         gpu_memory.share_of_gpu(each, [("evaluator", 0)], num_in_group=1).needs[0] for each in (config, larger)
     )
+    assert alone.pool_bytes is not None and with_larger.pool_bytes is not None
     of_l = dataclasses.replace(config, env=dataclasses.replace(config.env, size="l"))
     assert with_larger.thread_bytes == gpu_memory.thread_bytes(of_l.env.capacity) > alone.thread_bytes
     assert with_larger.pool_bytes >= alone.pool_bytes

@@ -192,9 +192,9 @@ def test_a_signal_while_workers_score_the_first_levels_ends_the_run_before_the_f
     config, stop = tiny_config(num_updates=8, num_curators=0), StopSignals()
 
     class Signalled(_NotingTrainer):
-        def refresh(self, *arguments):
+        def refresh(self, weights, policy_version, probe, given):
             stop.requested = "SIGTERM"
-            return super().refresh(*arguments)
+            return super().refresh(weights, policy_version, probe, given)
 
     trainer = Signalled(config)
     run = run_directory(tmp_path / "run", config, resume=False)

@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -16,8 +17,9 @@ from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.refreshes import MIN_PATIENCE_S, CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.training_run import RunFailedError, train
+from kinetix_dist.runtime.processes.calls import Call
 from kinetix_dist.runtime.processes.failures import Losses, TooManyLossesError, WorkerLostError
-from kinetix_dist.runtime.processes.local import LocalBackend, LocalFuture
+from kinetix_dist.runtime.processes.local import LocalBackend, LocalFuture, LocalHandle
 from kinetix_dist.runtime.processes.placement import ProcessPlan, plan_placement
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, run_updates, tiny_config
@@ -214,32 +216,50 @@ def test_the_ends_of_the_logs_of_a_lost_process_and_its_group_are_stored(tmp_pat
 
 
 @dataclasses.dataclass(frozen=True)
-class LaterTicket(LocalFuture):
+class LaterTicket(LocalFuture[dict[str, Any]]):
     is_done: Callable[[], bool]
 
-    def is_ready(self):
+    def is_ready(self) -> bool:
         return self.is_done()
 
 
-class BusyProcess(LocalBackend):
-    """Answers a call once the test says so."""
+class BusyCurator:
+    """Core of a curator that answers with the version of the policy."""
 
-    def __init__(self):
-        super().__init__()
-        self.plan, self.requested, self.done = None, [], 0
+    def refresh(self, weights: Any, policy_version: int, *others: Any) -> tuple[dict[str, Any], int]:
+        del weights, others
+        return {"seconds": 1.0, "probe": {}}, policy_version
 
-    def spawn_in_background(self, plan, build, *arguments):
-        return self
 
-    def call_with_header(self, method, weights, policy_version, part, num_parts, probe, given):
+class BusyHandle(LocalHandle[Any]):
+    """Its calls are ready once the test says so."""
+
+    def __init__(self, plan: ProcessPlan) -> None:
+        super().__init__(plan, BusyCurator())
+        self.requested: list[int] = []
+        self.done = 0
+
+    def _call_with_header(self, call: Call) -> tuple[LocalFuture[dict[str, Any]], LocalFuture[Any]]:
         number = len(self.requested)
-        self.requested.append(policy_version)
-        return LaterTicket({"seconds": 1.0, "probe": {}}, lambda: self.done > number), LocalFuture(policy_version)
+        header, content = super()._call_with_header(call)
+        self.requested.append(content.value)
+        return LaterTicket(header.value, lambda: self.done > number), content
 
 
-def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
-    process = BusyProcess()
-    curator = CuratorClient(tiny_config(num_updates=1), process, [ProcessPlan(role="curator", index=0)])
+class BusyBackend(LocalBackend):
+    def __init__(self) -> None:
+        super().__init__()
+        self.handle = BusyHandle(ProcessPlan(role="curator", index=0))
+
+    def spawn_in_background(self, plan: ProcessPlan, build: Callable[..., Any], *arguments: Any) -> LocalHandle[Any]:
+        del plan, build, arguments
+        return self.handle
+
+
+def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late() -> None:
+    backend = BusyBackend()
+    process = backend.handle
+    curator = CuratorClient(tiny_config(num_updates=1), backend, [process.plan])
     for version in (0, 3, 6, 9):
         curator.request(LocalFuture(None), version, None, None)
         assert curator.take(patience_s=-1.0) is None
@@ -251,7 +271,8 @@ def test_what_was_given_up_does_not_pile_up_at_a_curator_that_is_late():
     assert process.requested == [0, 12]
     # It is at work again, so it is waited for: else one that is slower than its orders come would never be in time.
     threading.Timer(0.1, setattr, (process, "done", 2)).start()
-    assert curator.take(patience_s=1.0).parts[0].fetch() == 12
+    refresh = curator.take(patience_s=1.0)
+    assert refresh is not None and refresh.parts[0].fetch() == 12
 
 
 def _train_in_background(config, backend, path, at_update=None):

@@ -3,6 +3,8 @@
 import signal
 import threading
 import time
+from collections.abc import Sequence
+from typing import Any
 
 import pytest
 import ray
@@ -10,7 +12,7 @@ from ray.cluster_utils import Cluster
 
 from kinetix_dist.runtime.driver.resizing import Resizing
 from kinetix_dist.runtime.driver.stopping import EXIT_STOPPED, StopSignals
-from kinetix_dist.runtime.processes.placement import PlacementError, plan_placement
+from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, plan_placement
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
 from tests.helpers import PATIENCE_S
 from tests.runtime.runs import tiny_config
@@ -34,13 +36,21 @@ def cluster(head):
         head.remove_node(node)
 
 
-class _Placed:
-    """A trainer or curator that only keeps where it was placed."""
+class _PlacedTrainer:
+    """A trainer that only keeps its placement."""
 
-    def place(self, placement):
+    def place(self, placement: Placement) -> None:
         self.placement = placement
 
-    def stop(self):
+    def stop(self) -> None:
+        pass
+
+
+class _PlacedCurator:
+    def place(self, plans: Sequence[ProcessPlan]) -> None:
+        pass
+
+    def stop(self) -> None:
         pass
 
 
@@ -49,12 +59,18 @@ def test_a_run_gets_fewer_places_after_its_node_is_lost_and_more_when_it_comes_b
     """Two workers and a curator in three slots, one of them on a second node."""
     node = cluster.add_node(num_cpus=1)
     ray.init(address=cluster.address, log_to_driver=False)
-    backend, notes, noted = RayBackend(heartbeat_seconds=60.0), [], []
+    backend = RayBackend(heartbeat_seconds=60.0)
+    notes: list[str] = []
+    noted: list[tuple[str, dict[str, Any]]] = []
     config = tiny_config(num_updates=1, placement="colocated", num_workers=2, node_wait_seconds=0.5)
-    placement, trainer, stop = plan_placement(config, num_gpus=0), _Placed(), StopSignals()
+    placement, trainer, stop = plan_placement(config, num_gpus=0), _PlacedTrainer(), StopSignals()
     backend.reserve(placement)
-    listen = {"on_event": lambda kind, **details: noted.append((kind, details)), "on_note": notes.append}
-    resizing = Resizing(config, backend, placement, trainer, {"curator": _Placed()}, **listen)
+
+    def note_event(kind: str, **details: Any) -> None:
+        noted.append((kind, details))
+
+    background = {"curator": _PlacedCurator()}
+    resizing = Resizing(config, backend, placement, trainer, background, on_event=note_event, on_note=notes.append)
     resizing.fit(3, stop)
     assert not notes and not resizing.can_grow()  # nothing is lost
 
@@ -137,8 +153,10 @@ def test_training_shrinks_when_a_node_is_lost_and_grows_when_it_comes_back(clust
 def test_training_waits_for_a_node_with_one_line_where_it_must_not_shrink(cluster, tmp_path, monkeypatch):
     node, run = cluster.add_node(num_cpus=1), tmp_path / "run"
     process = _start(cluster, run, monkeypatch, *OPTIONS["colocated"], "--run.min_workers", "2")
-    said = []
-    threading.Thread(target=lambda: said.extend(process.stderr), daemon=True).start()
+    said: list[str] = []
+    errors = process.stderr
+    assert errors is not None
+    threading.Thread(target=lambda: said.extend(errors), daemon=True).start()
     try:
         wait_for(lambda: len(rows(run)) >= 7, process, "update 7")
         cluster.remove_node(node)
@@ -157,8 +175,13 @@ def test_training_waits_for_a_node_with_one_line_where_it_must_not_shrink(cluste
 def test_a_split_run_gives_up_rollout_actors_before_learners():
     """Two learners and three actors: all sizes that are tried, the largest first. No node is needed."""
     config = tiny_config(num_updates=1, placement="split", num_learners=2, num_rollout_actors=3, min_workers=2)
-    noted = {"on_event": lambda kind, **details: None, "on_note": lambda text: None}
-    resizing = Resizing(config, None, plan_placement(config, num_gpus=0), _Placed(), {}, **noted)
+
+    def ignore(*arguments: Any, **details: Any) -> None:
+        pass
+
+    nowhere: Any = None
+    placement = plan_placement(config, num_gpus=0)
+    resizing = Resizing(config, nowhere, placement, _PlacedTrainer(), {}, on_event=ignore, on_note=ignore)
     assert resizing.size == 5
     tried = resizing._smaller_and_smaller(resizing._least)
     assert [(c.run.num_learners, c.run.num_rollout_actors) for c in tried] == [(2, 3), (2, 2), (1, 3), (1, 2)]

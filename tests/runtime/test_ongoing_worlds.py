@@ -277,7 +277,9 @@ def test_a_run_that_is_resumed_has_the_bits_of_one_that_was_not(eight_updates, t
 def test_worlds_of_a_checkpoint_without_pairs_go_on_without_them():
     """Versions before there were pairs stored no `copy_of`."""
     number = np.arange(4, dtype=np.int32)
-    worlds: Any = OngoingWorlds(levels={"size": number}, source=number, copy_of=None, episodes={"steps": number})
+    levels: Any = {"size": number}
+    episodes: Any = {"steps": number}
+    worlds = OngoingWorlds(levels=levels, source=number, copy_of=None, episodes=episodes)
     mesh, division = data_mesh(jax.devices()[:1]), Division(1, 1)
     for copy_of in (None, np.array([-1, 0, -1, 2], np.int32)):
         some = spread_worlds(dataclasses.replace(worlds, copy_of=copy_of), mesh, division)

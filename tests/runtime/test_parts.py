@@ -158,7 +158,8 @@ def test_learners_have_gpus_of_their_own_and_only_they_form_a_group():
     config = without_evaluator(recipe("sfl_s"))
     run = dataclasses.replace(config.run, placement="split", num_learners=2, num_rollout_actors=2)
     placement = plan_placement(dataclasses.replace(config, run=run), num_gpus=4)
-    assert [(p.name, p.gpu, p.memory.needs[0].num_in_group) for p in placement.processes] == [
+    groups = [None if p.memory is None else p.memory.needs[0].num_in_group for p in placement.processes]
+    assert [(p.name, p.gpu, group) for p, group in zip(placement.processes, groups, strict=True)] == [
         ("learner 0", 0, 2),
         ("learner 1", 1, 2),
         ("rollout 0", 2, 1),

@@ -205,6 +205,7 @@ def test_a_new_run_takes_parameters_and_optimiser_of_a_checkpoint_and_keeps_its_
     child = dataclasses.replace(tiny_config(num_updates=1), run=dataclasses.replace(config.run, **run))
     theirs = load_checkpoint(parent)
     start = starting_point(child)
+    assert start.arrays is not None
     for kind in ("params", "opt_state"):
         ours, wanted = select_arrays(start.arrays, f"start/{kind}"), select_arrays(theirs.arrays, f"learner/{kind}")
         assert_same_bits(ours, wanted)

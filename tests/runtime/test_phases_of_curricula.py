@@ -66,6 +66,7 @@ def _train(config, path, *, resume):
     else:
         trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
     if config.workers_curate:
+        assert isinstance(trainer, ColocatedTrainer)
         curator = WorkerCurator(trainer)
     else:
         curator = CuratorClient(config, backend, [ProcessPlan(role="curator", index=0)])

@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,11 +19,12 @@ from kinetix_dist.runtime.cores.rollout_core import Players, RolloutCore
 from kinetix_dist.runtime.cores.worker import Worker
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
+from kinetix_dist.runtime.driver.roles import Refresh
 from kinetix_dist.runtime.driver.totals import WARNINGS
 from kinetix_dist.runtime.processes.local import LocalBackend, LocalFuture
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.names import METRICS
-from tests.runtime.runs import QuietReporter, run_updates, tiny_config
+from tests.runtime.runs import NotingReporter, run_updates, tiny_config
 
 NUM_WORLDS, NUM_STEPS, FRAME_SKIP = 16, 8, 2  # of the recipe `tiny`; half of the worlds play levels of the buffer
 PHYSICS_STEPS = NUM_WORLDS * NUM_STEPS * FRAME_SKIP
@@ -34,24 +37,29 @@ def _with_nan(scored):
 
 
 @pytest.fixture(scope="module")
-def worker():
-    config = tiny_config(num_updates=1)
-    worker = Worker(config, data_mesh())
+def worker() -> Worker:
+    worker = Worker(tiny_config(num_updates=1), data_mesh())
     worker.start(None)
-    seconds, worker.scored = CuratorCore(config).refresh(worker.weights(), 0, 0, 1)
-    assert seconds["seconds"] > 0
     return worker
 
 
-def test_a_healthy_rollout_counts_nothing_that_should_be_zero(worker):
-    worker.adopt(worker.scored)
+@pytest.fixture(scope="module")
+def scored(worker: Worker) -> Any:
+    """A refresh by the policy of the worker."""
+    seconds, scored = CuratorCore(tiny_config(num_updates=1)).refresh(worker.weights(), 0, 0, 1)
+    assert seconds["seconds"] > 0
+    return scored
+
+
+def test_a_healthy_rollout_counts_nothing_that_should_be_zero(worker: Worker, scored: Any) -> None:
+    worker.adopt(scored)
     metrics, *_ = worker.run_update(0)
     assert {name for name in METRICS if name.startswith("physics/")} <= metrics.keys()
     assert all(metrics[f"physics/{kind}"] == 0 for kind in WARNINGS)
 
 
-def test_worlds_that_are_not_finite_are_reset_in_every_step_and_counted(worker):
-    worker.adopt(_with_nan(worker.scored))
+def test_worlds_that_are_not_finite_are_reset_in_every_step_and_counted(worker: Worker, scored: Any) -> None:
+    worker.adopt(_with_nan(scored))
     metrics, *_ = worker.run_update(0)
     times = NUM_WORLDS // 2 * NUM_STEPS
     assert metrics["physics/unstable_worlds"] == times
@@ -86,8 +94,8 @@ def test_effects_that_an_engine_lacks_and_contacts_without_a_slot_are_counted(wo
 class _PoisonedCurator(CuratorClient):
     """A curator whose levels are nowhere from the second refresh on."""
 
-    def take(self, *, patience_s, meanwhile):
-        refresh = super().take(patience_s=patience_s)
+    def take(self, *, patience_s: float | None, meanwhile: Callable[[], None] = lambda: None) -> Refresh | None:
+        refresh = super().take(patience_s=patience_s, meanwhile=meanwhile)
         assert refresh is not None
         if self.num_taken:
             parts = [LocalFuture(_with_nan(part.fetch())) for part in refresh.parts]
@@ -100,13 +108,12 @@ class _PoisonedCurator(CuratorClient):
 
 def test_a_run_warns_once_of_each_kind_and_says_how_often_at_its_end(tmp_path):
     config = tiny_config(num_updates=8)  # the second buffer is adopted at update 5
-    reporter = QuietReporter()
-    reporter.note = (notes := []).append
+    reporter = NotingReporter()
     backend = LocalBackend()
     trainer = ColocatedTrainer(config, backend, [ProcessPlan(role="worker", index=0)])
     curator = _PoisonedCurator(config, backend, [ProcessPlan(role="curator", index=0)])
     controller = run_updates(config, tmp_path / "run", trainer, curator, reporter=reporter)
-    (skipped, note) = notes
+    (skipped, note) = reporter.notes
     assert skipped == "update 6 was skipped: no gradient was finite"  # half of the levels are nan themselves
     times = NUM_WORLDS // 2 * NUM_STEPS
     assert note.startswith(f"physics: {times} worlds were not finite and were reset in {PHYSICS_STEPS} physics steps; ")

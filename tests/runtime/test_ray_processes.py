@@ -8,6 +8,9 @@ import signal
 import socket
 import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,13 +20,18 @@ from ray._private.internal_api import memory_summary  # no public function says 
 
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime.processes.actor import _doing
-from kinetix_dist.runtime.processes.backend import Group, Sections
+from kinetix_dist.runtime.processes.backend import Sections
+from kinetix_dist.runtime.processes.calls import Future, Group
 from kinetix_dist.runtime.processes.failures import InputLostError, ProcessFailedError, WorkerLostError
 from kinetix_dist.runtime.processes.placement import Placement, PlacementError, ProcessPlan, count_gpus, plan_placement
 from kinetix_dist.runtime.processes.ray_backend import RayBackend
+from kinetix_dist.runtime.processes.ray_calls import RayHandle
 from kinetix_dist.telemetry.names import check_metrics
 from tests.helpers import PATIENCE_S
 from tests.runtime.cores_for_tests import (
+    Compiler,
+    Facts,
+    Greedy,
     build_compiler,
     build_facts,
     build_from_missing_levels,
@@ -35,8 +43,11 @@ from tests.runtime.runs import without_evaluator
 ON_CPU = {"JAX_PLATFORMS": "cpu"}
 
 
+Restarted = tuple[list[RayHandle[Compiler]], list[list[int]]]
+
+
 @pytest.fixture(scope="module")
-def backend():
+def backend() -> Iterator[RayBackend]:
     ray.init(address="local", num_cpus=16, num_gpus=3, include_dashboard=False, log_to_driver=False)
     backend = RayBackend(heartbeat_seconds=120.0)  # finds Ray running and takes part
     yield backend
@@ -44,19 +55,24 @@ def backend():
     ray.shutdown()
 
 
-def _plan_of_slots(num_gpus=3):
+def _plan_of_slots(num_gpus: int = 3) -> Placement:
     """A worker a GPU and a curator; their memory is not shared out, since there is no GPU."""
     placement = plan_placement(without_evaluator(recipe("sfl_s")), num_gpus=num_gpus)
     processes = tuple(dataclasses.replace(p, memory=None, env_vars=ON_CPU) for p in placement.processes)
     return dataclasses.replace(placement, processes=processes)
 
 
-def _devices(handles, backend):
-    return backend.gather([handle.call("devices") for handle in handles])
+def _devices(handles: Sequence[RayHandle[Facts]], backend: RayBackend) -> list[str | None]:
+    return backend.gather([handle.call(Facts.devices) for handle in handles])
+
+
+def _signal(handle: RayHandle[Any], number: signal.Signals) -> None:
+    assert handle.pid is not None
+    os.kill(handle.pid, number)
 
 
 @pytest.mark.long
-def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_restart(backend):
+def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_restart(backend: RayBackend) -> None:
     placement = _plan_of_slots(num_gpus=2)  # of three
     backend.reserve(placement)
     workers = [backend.spawn([process], build_facts)[0] for process in placement.of("worker")]
@@ -70,7 +86,7 @@ def test_the_curator_shares_the_gpu_of_worker_0_and_of_no_other_also_after_a_res
     backend.kill([*again, curator])
 
 
-def test_gpus_that_another_run_holds_are_refused_in_words(backend, monkeypatch):
+def test_gpus_that_another_run_holds_are_refused_in_words(backend: RayBackend, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("kinetix_dist.runtime.processes.ray_backend.FREE_TIMEOUT_S", 1.0)
     backend.release()
     taken = ray.util.placement_group([{"GPU": 1}])
@@ -82,10 +98,12 @@ def test_gpus_that_another_run_holds_are_refused_in_words(backend, monkeypatch):
     ray.util.remove_placement_group(taken)
 
 
-def test_cpu_slots_that_are_not_there_or_taken_are_refused_in_words(backend, monkeypatch):
+def test_cpu_slots_that_are_not_there_or_taken_are_refused_in_words(
+    backend: RayBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("kinetix_dist.runtime.processes.ray_backend.FREE_TIMEOUT_S", 0.5)
 
-    def workers(number):
+    def workers(number: int) -> Placement:
         return Placement(processes=tuple(ProcessPlan(role="worker", index=index) for index in range(number)))
 
     with pytest.raises(PlacementError, match=r"has 17 processes, and the cluster 16 CPU slots: .*3 GPUs\); start Ray"):
@@ -97,10 +115,10 @@ def test_cpu_slots_that_are_not_there_or_taken_are_refused_in_words(backend, mon
     ray.util.remove_placement_group(taken)
 
 
-def test_a_process_that_runs_out_of_memory_says_which_and_what_to_do(backend):
+def test_a_process_that_runs_out_of_memory_says_which_and_what_to_do(backend: RayBackend) -> None:
     handle = backend.spawn([ProcessPlan(role="curator", index=0, env_vars=ON_CPU)], build_greedy)[0]
     with pytest.raises(ProcessFailedError) as caught:
-        backend.gather([handle.call("call")])
+        backend.gather([handle.call(Greedy.call)])
     line = str(caught.value)
     assert line.startswith("curator 0 ran out of memory on ") and "RESOURCE_EXHAUSTED" in line
     assert "raise run.curator_memory_gib or lower curriculum.scoring_batch" in line
@@ -108,7 +126,7 @@ def test_a_process_that_runs_out_of_memory_says_which_and_what_to_do(backend):
     backend.kill([handle])
 
 
-def test_a_build_that_fails_is_said_in_one_line_with_its_traceback_apart(backend):
+def test_a_build_that_fails_is_said_in_one_line_with_its_traceback_apart(backend: RayBackend) -> None:
     plans = [ProcessPlan(role="worker", index=0, env_vars=ON_CPU)]
     with pytest.raises(ProcessFailedError, match=r"^worker 0 failed: unknown level set 'nowhere'") as caught:
         backend.spawn(plans, build_from_missing_levels, "nowhere")
@@ -116,7 +134,7 @@ def test_a_build_that_fails_is_said_in_one_line_with_its_traceback_apart(backend
     assert "build_from_missing_levels" in caught.value.details
 
 
-def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
+def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend: RayBackend) -> None:
     if count_gpus():
         pytest.skip("there is a GPU here")
     (process, _) = plan_placement(without_evaluator(recipe("sfl_s")), num_gpus=1).processes
@@ -125,12 +143,12 @@ def test_a_process_planned_for_a_gpu_that_is_not_there_says_so(backend):
 
 
 @pytest.mark.long
-def test_learners_and_actors_are_started_at_the_same_time(backend, tmp_path):
+def test_learners_and_actors_are_started_at_the_same_time(backend: RayBackend, tmp_path: Path) -> None:
     groups = [
-        Group([ProcessPlan(role=role, index=0, env_vars=ON_CPU)], build_together, (str(tmp_path), 2))
+        Group([ProcessPlan(role=role, index=0, env_vars=ON_CPU)], build_together, str(tmp_path), 2)
         for role in ("learner", "rollout")
     ]
-    (learner,), (actor,) = backend.spawn_groups(groups)
+    (learner,), (actor,) = backend.spawn_both(*groups)
     assert len({learner.pid, actor.pid}) == 2
     backend.kill([learner, actor])
 
@@ -139,12 +157,15 @@ def test_learners_and_actors_are_started_at_the_same_time(backend, tmp_path):
 
 
 @pytest.mark.long
-def test_a_port_that_is_taken_after_it_was_found_free_is_a_loss_and_not_the_end(backend, monkeypatch):
+def test_a_port_that_is_taken_after_it_was_found_free_is_a_loss_and_not_the_end(
+    backend: RayBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Another program takes it between the two: the group is lost, and started again with another port."""
     plans = [ProcessPlan(role="worker", index=index, env_vars=ON_CPU) for index in range(2)]
-    query, taken = backend._all, []
+    query = backend._all
+    taken: list[socket.socket] = []
 
-    def ask_and_take(actors, references):
+    def ask_and_take(actors: Sequence[Any], references: Sequence[Any]) -> list[Any]:
         answers = query(actors, references)
         if isinstance(answers[0], str) and answers[0].count(":") == 1:
             host, _, port = answers[0].partition(":")
@@ -159,27 +180,32 @@ def test_a_port_that_is_taken_after_it_was_found_free_is_a_loss_and_not_the_end(
 
 
 @pytest.fixture(scope="module")
-def restarted(backend, tmp_path_factory):
+def restarted(backend: RayBackend, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Restarted]:
     """(two workers of one JAX world, started for the second time; programs that they found compiled, both times)."""
     plans = [ProcessPlan(role="worker", index=index, env_vars=ON_CPU) for index in range(2)]
-    directory, hits, handles = str(tmp_path_factory.mktemp("compiled")), [], []
+    directory = str(tmp_path_factory.mktemp("compiled"))
+    hits: list[list[int]] = []
+    handles: list[RayHandle[Compiler]] = []
     for _ in range(2):
         backend.kill(handles)
         handles = backend.spawn(plans, build_compiler, directory)
-        hits.append(backend.gather([handle.call("num_hits") for handle in handles]))
+        hits.append(backend.gather([handle.call(Compiler.num_hits) for handle in handles]))
     yield handles, hits
     backend.kill(handles)
 
 
 @pytest.mark.long
-def test_after_a_restart_no_rank_of_a_group_compiles_again(restarted):
+def test_after_a_restart_no_rank_of_a_group_compiles_again(restarted: Restarted) -> None:
     assert restarted[1] == [[0, 0], [1, 1]]
 
 
-def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, restarted):
+def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(
+    backend: RayBackend, restarted: Restarted
+) -> None:
     busy, idle = restarted[0]
-    backend.gather([busy.call("sleep", 0.0), idle.call("sleep", 0.0)])
-    call, found = busy.call("sleep", 3.0, np.zeros(1 << 20, np.uint8)), {}
+    backend.gather([busy.call(Compiler.sleep, 0.0), idle.call(Compiler.sleep, 0.0)])
+    call = busy.call(Compiler.sleep, 3.0, np.zeros(1 << 20, np.uint8))
+    found: dict[str, float] = {}
     deadline = time.monotonic() + PATIENCE_S
     before = found
     while not ("runtime/idle_worker" in found and before.get("runtime/idle_worker") != found["runtime/idle_worker"]):
@@ -198,27 +224,31 @@ def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(backend, r
     assert ("memory/gpu_share" in found) == (count_gpus() > 0 and "cpu" not in ON_CPU.values())
 
 
-def test_what_is_needed_next_is_fetched_while_a_call_computes_and_storing_it_is_timed(backend, restarted):
+def test_what_is_needed_next_is_fetched_while_a_call_computes_and_storing_it_is_timed(
+    backend: RayBackend, restarted: Restarted
+) -> None:
     (learner, actor), _ = restarted
-    computing = learner.call("compute_until_handed", 60.0)
-    header, content = actor.call_with_header("give", 1 << 20)
+    computing = learner.call(Compiler.compute_until_handed, 60.0)
+    header, content = actor.call_with_header(Compiler.give, 1 << 20)
     (found,) = backend.gather([header])
     assert found["size"] == found["put"][0] == 1 << 20 and found["put"][1] > 0
-    handed = learner.call_in_background("hand", content)
+    handed = learner.call_in_background(Compiler.hand, content)
     first = backend.first_ready([computing, handed])
     assert first and all(future is computing or future is handed for future in first)
     assert backend.gather([computing, handed]) == [1 << 20, None]
     with pytest.raises(ProcessFailedError, match="worker 1 failed"):
-        backend.gather([actor.call_with_header("give", -1)[0]])
+        backend.gather([actor.call_with_header(Compiler.give, -1)[0]])
 
 
-def _stored_mib():
-    """MiB in the object store of this machine."""
+def _stored_mib() -> int:
+    """Return the MiB in the object store of this machine."""
     summary = memory_summary(ray.get_runtime_context().gcs_address, stats_only=True)
-    return int(re.search(r"Plasma memory usage (\d+) MiB", summary)[1])
+    used = re.search(r"Plasma memory usage (\d+) MiB", summary)
+    assert used is not None, summary
+    return int(used[1])
 
 
-def _wait_for(condition, seconds=PATIENCE_S):
+def _wait_for(condition: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         gc.collect()  # errors hold what they were raised over, in cycles
@@ -227,23 +257,25 @@ def _wait_for(condition, seconds=PATIENCE_S):
 
 
 @pytest.mark.long
-def test_answers_that_are_never_fetched_or_whose_process_dies_while_it_stores_them_leave_nothing(backend, tmp_path):
+def test_answers_that_are_never_fetched_or_whose_process_dies_while_it_stores_them_leave_nothing(
+    backend: RayBackend, tmp_path: Path
+) -> None:
     (process,) = backend.spawn([ProcessPlan(role="rollout", index=0, env_vars=ON_CPU)], build_compiler, str(tmp_path))
     before = _stored_mib()
-    header, content = process.call_with_header("give_what_cannot_be_stored")
+    header, content = process.call_with_header(Compiler.give_what_cannot_be_stored)
     for future in (header, content):
         with pytest.raises(ProcessFailedError, match="rollout 0 failed: TypeError: cannot pickle"):
             backend.gather([future])
     assert ray.get(process.actor.doing.remote()).what == "idle"  # the call is over for the process, too
-    header, content = process.call_with_header("give", 32 << 20)
+    header, content = process.call_with_header(Compiler.give, 32 << 20)
     backend.gather([header])
     assert _stored_mib() == before + 32
     del content
     _wait_for(lambda: _stored_mib() == before)
-    header, content = process.call_with_header("give_and_hang", 32 << 20, str(tmp_path / "stored"))
+    header, content = process.call_with_header(Compiler.give_and_hang, 32 << 20, str(tmp_path / "stored"))
     _wait_for((tmp_path / "stored").exists)
     assert _stored_mib() == before + 32 and not content.is_ready()
-    os.kill(process.pid, signal.SIGKILL)
+    _signal(process, signal.SIGKILL)
     for future in (header, content):
         with pytest.raises(WorkerLostError, match="rollout 0 died"):
             backend.gather([future])
@@ -252,50 +284,56 @@ def test_answers_that_are_never_fetched_or_whose_process_dies_while_it_stores_th
     backend.kill([process])
 
 
-def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_limit_and_5_s(backend, restarted):
+def test_a_call_that_never_returns_and_a_stopped_process_are_named_within_the_limit_and_5_s(
+    backend: RayBackend, restarted: Restarted
+) -> None:
     (stopped, asleep), _ = restarted
     backend.sections.limits = {"save": 2.0}
 
-    def lost(*tickets):
+    def lost(*tickets: Future[None]) -> tuple[str, str, str]:
         began = time.monotonic()
         with pytest.raises(WorkerLostError) as caught, backend.sections.section("save"):
             backend.gather(tickets)
         assert 2.0 < time.monotonic() - began < 2.0 + 5.0
         return caught.value.process, caught.value.section, str(caught.value)
 
-    name, section, text = lost(stopped.call("sleep", 0.0), asleep.call("sleep", 1000.0))
+    name, section, text = lost(stopped.call(Compiler.sleep, 0.0), asleep.call(Compiler.sleep, 1000.0))
     assert (name, section) == ("worker 1", "save")
     assert re.search(r"not done within the 2 s of run.limits.save: worker 1 in sleep for 2 s, at cores_for", text)
-    os.kill(stopped.pid, signal.SIGSTOP)
-    name, section, text = lost(stopped.call("sleep", 0.0))
+    _signal(stopped, signal.SIGSTOP)
+    name, section, text = lost(stopped.call(Compiler.sleep, 0.0))
     assert (name, section) == ("worker 0", "save")
     assert text == "not done within the 2 s of run.limits.save: worker 0 does not answer"
-    os.kill(stopped.pid, signal.SIGCONT)
+    _signal(stopped, signal.SIGCONT)
     backend.sections.limits = {}
 
 
 @pytest.mark.long
-def test_settings_of_the_network_reach_processes_and_others_do_not(backend, monkeypatch):
+def test_settings_of_the_network_reach_processes_and_others_do_not(
+    backend: RayBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("NCCL_SOCKET_IFNAME", "eth7")
     monkeypatch.setenv("SOMETHING_ELSE", "here")
     handle = backend.spawn([ProcessPlan(role="curator", index=0, env_vars=ON_CPU)], build_facts)[0]
-    calls = [handle.call("environment", name) for name in ("NCCL_SOCKET_IFNAME", "SOMETHING_ELSE")]
+    calls = [handle.call(Facts.environment, name) for name in ("NCCL_SOCKET_IFNAME", "SOMETHING_ELSE")]
     assert backend.gather(calls) == ["eth7", None]
     backend.kill([handle])
 
 
-def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(backend, restarted):
+def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(
+    backend: RayBackend, restarted: Restarted
+) -> None:
     (well, lost), _ = restarted
-    lost.call("sleep", 1000.0)
-    made_of_it = well.call("sleep", lost.call("num_hits"))
-    os.kill(lost.pid, signal.SIGKILL)
+    lost.call(Compiler.sleep, 1000.0)
+    made_of_it = well.call(Compiler.sleep, lost.call(Compiler.num_hits).as_argument())
+    _signal(lost, signal.SIGKILL)
     with pytest.raises(InputLostError, match="worker 1 died before worker 0 had its answer") as caught:
         backend.gather([made_of_it])
     assert caught.value.process == "worker 1"
-    assert backend.gather([well.call("sleep", 0.0)]) == [None]
+    assert backend.gather([well.call(Compiler.sleep, 0.0)]) == [None]
 
 
-def test_the_first_pass_of_a_section_may_take_the_time_to_compile(monkeypatch):
+def test_the_first_pass_of_a_section_may_take_the_time_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     """The section may take as long as a process compiles: a hanging call is noticed after the limit of the section."""
     sections, now = Sections(), [1000.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
@@ -316,17 +354,18 @@ def test_the_first_pass_of_a_section_may_take_the_time_to_compile(monkeypatch):
         sections.reset()
 
 
-def test_a_process_says_that_it_compiles_and_nothing_else_is_taken_for_that():
-    def of_thread(work):
+def test_a_process_says_that_it_compiles_and_nothing_else_is_taken_for_that() -> None:
+    def of_thread(work: Callable[[], object]) -> float:
         thread = threading.Thread(target=work)
         thread.start()
-        said = []
+        assert thread.ident is not None
+        said: list[bool] = []
         while thread.is_alive():
             said.append(_doing(thread.ident, "work", time.monotonic()).is_compiling)
             time.sleep(0.01)
         return sum(said) / len(said)
 
-    def traced(x):
+    def traced(x: Any) -> Any:
         time.sleep(0.5)
         return x + 1
 
@@ -335,12 +374,12 @@ def test_a_process_says_that_it_compiles_and_nothing_else_is_taken_for_that():
 
 
 @pytest.mark.long
-def test_an_idle_process_that_dies_is_noticed_where_others_are_waited_for(backend, tmp_path):
+def test_an_idle_process_that_dies_is_noticed_where_others_are_waited_for(backend: RayBackend, tmp_path: Path) -> None:
     plans = [ProcessPlan(role="rollout", index=index, env_vars=ON_CPU) for index in range(2)]
     idle, well = backend.spawn(plans, build_compiler, str(tmp_path))
     backend.check([idle])
-    working = well.call("sleep", 1000.0)
-    os.kill(idle.pid, signal.SIGKILL)
+    working = well.call(Compiler.sleep, 1000.0)
+    _signal(idle, signal.SIGKILL)
     began = time.monotonic()
     with pytest.raises(WorkerLostError, match="rollout 0 died") as caught:
         backend.first_ready([working], watched=[idle])

@@ -46,6 +46,7 @@ def _run(config, path, backend, reporter=None, at_update=None, resume=False):
     if config.run.num_curators:
         curator = CuratorClient(config, backend, placement.of("curator")) if config.has_curator else None
     else:
+        assert isinstance(trainer, ColocatedTrainer)
         curator = WorkerCurator(trainer)
     reporter = reporter or QuietReporter(lambda number: at_update(number, trainer, curator) if at_update else None)
     try:

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import json
 import shutil
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from kinetix_dist.telemetry.curriculum_log import (
     BUFFER,
     REFRESH,
     CurriculumLogConfig,
+    Snapshot,
     level_ids,
     list_snapshots,
     read_outcomes,
@@ -31,7 +33,7 @@ from kinetix_dist.telemetry.curriculum_log import (
     snapshot_name,
 )
 from kinetix_dist.telemetry.json_lines import read_lines
-from kinetix_dist.telemetry.status import FAILED, FINISHED, read_status
+from kinetix_dist.telemetry.status import FAILED, FINISHED, Status, read_status
 from tests.runtime.runs import QuietReporter, assert_same_bits, final_arrays, tiny_config
 from tests.runtime.test_full_disk import full_disk
 from tests.runtime.train_process import events
@@ -84,6 +86,11 @@ def _snapshots(path):
     return [read_snapshot(file) for _, _, file in list_snapshots(path / "curriculum")]
 
 
+def _levels(snapshot: Snapshot) -> Mapping[str, np.ndarray]:
+    assert snapshot.levels is not None
+    return snapshot.levels
+
+
 def _assert_same_data(ours, theirs):
     assert (ours / "curriculum" / "outcomes.jsonl").read_bytes() == (
         theirs / "curriculum" / "outcomes.jsonl"
@@ -91,7 +98,7 @@ def _assert_same_data(ours, theirs):
     for one, other in zip(_snapshots(ours), _snapshots(theirs), strict=True):
         arrays = [{k: v for k, v in each.arrays.items() if k != "scoring_seconds"} for each in (one, other)]
         assert_same_bits(*arrays)
-        assert_same_bits(one.levels, other.levels)
+        assert_same_bits(_levels(one), _levels(other))
 
 
 def _assert_counts_add_up(path, rows):
@@ -135,7 +142,7 @@ def test_the_snapshot_of_a_refresh_is_the_buffer_that_was_adopted(logged):
     assert not more and (first.kind, first.number, second.number) == (REFRESH, 0, 3)
     for snapshot, saved_at in ((first, 4), (second, 8)):
         state = select_arrays(_arrays_at(path, saved_at), "curriculum")
-        assert_same_bits(snapshot.levels, select_arrays(state, "levels"))
+        assert_same_bits(_levels(snapshot), select_arrays(state, "levels"))
         for ours, theirs in {"solved": "num_solved", "finished": "num_finished"}.items():
             np.testing.assert_array_equal(snapshot.arrays[ours], state[theirs], strict=True)
         for name in ("candidate", "score", "policy_version"):
@@ -146,7 +153,7 @@ def test_the_snapshot_of_a_refresh_is_the_buffer_that_was_adopted(logged):
         assert score.mean() == pytest.approx(float(state["mean_candidate_score"]))
         np.testing.assert_array_equal(candidates["solved"][state["candidate"]], state["num_solved"])
         np.testing.assert_array_equal(candidates["features"][state["candidate"]], snapshot.arrays["features"])
-        np.testing.assert_array_equal(snapshot.arrays["level_id"], level_ids(snapshot.levels))
+        np.testing.assert_array_equal(snapshot.arrays["level_id"], level_ids(_levels(snapshot)))
     assert (int(first.arrays["first_batch"]), int(second.arrays["first_batch"])) == (0, 5)
     adopted = events(path, "buffer_adopted")
     assert [row["update"] for row in adopted] == [0, 5]
@@ -254,7 +261,7 @@ def test_a_replay_buffer_is_written_with_each_checkpoint(tmp_path):
         for name in ("score", "best_return", "born", "last_played"):
             np.testing.assert_array_equal(snapshot.arrays[name], state[name][filled], strict=True)
         for name, array in select_arrays(state, "levels").items():
-            np.testing.assert_array_equal(snapshot.levels[name], array[filled], strict=True)
+            np.testing.assert_array_equal(_levels(snapshot)[name], array[filled], strict=True)
     # What persists: the same slot and birth is the same level, and nothing else is.
     by_birth, by_id = {}, {}
     for snapshot in snapshots:
@@ -345,9 +352,15 @@ def test_every_evaluation_is_a_line_with_the_attempts_of_each_level(trained):
     assert [row["update"] for row in events(run.path, "evaluated")] == [4, 8]
 
 
+def _status(run: RunDirectory) -> Status:
+    status = read_status(run.status)
+    assert status is not None
+    return status
+
+
 def test_status_and_events_say_that_a_run_is_finished_and_a_session_more_that_goes_on(trained):
     run, config, _ = trained
-    status = read_status(run.status)
+    status = _status(run)
     steps = config.rollout.steps_per_update
     assert (status.state, status.phase, status.session) == (FINISHED, "done", 1)
     assert (status.update, status.env_steps, status.total_env_steps) == (NUM_UPDATES, 8 * steps, 8 * steps)
@@ -358,7 +371,7 @@ def test_status_and_events_say_that_a_run_is_finished_and_a_session_more_that_go
     again = RunDirectory.open_existing(run.path)
     train(config, again, resume=True)
     again.close()
-    assert read_status(run.status).session == 2
+    assert _status(run).session == 2
     assert [row["session"] for row in events(run.path, "run_started")] == [
         1,
         2,
@@ -372,7 +385,7 @@ def test_status_and_event_have_the_line_that_a_failed_run_ends_with(tmp_path):
     with pytest.raises(Exception, match="none") as caught:
         train(config, run, resume=False)
     run.close()
-    status = read_status(run.status)
+    status = _status(run)
     assert status.state == FAILED and status.error == str(caught.value)
     assert [row["error"] for row in events(run.path, "run_failed")] == [status.error]
 

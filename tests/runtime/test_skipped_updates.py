@@ -13,7 +13,7 @@ from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.refreshes import CuratorClient
 from kinetix_dist.runtime.driver.run_directory import RunDirectory
 from kinetix_dist.runtime.driver.totals import NotFiniteError, SkippedUpdates
-from kinetix_dist.runtime.processes.local import LocalBackend
+from kinetix_dist.runtime.processes.local import LocalBackend, LocalHandle
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.json_lines import read_lines
 from tests.runtime.conftest import NUM_UPDATES, tiny_options
@@ -37,7 +37,10 @@ def test_parameters_that_a_fault_made_nan_go_back_to_the_checkpoint_and_the_run_
     def poison(number):
         if number == 3 and not poisoned:
             poisoned.append(number)
-            learner = trainer._handles[0]._core._learner
+            (handle,) = trainer._handles
+            assert isinstance(handle, LocalHandle)
+            learner = handle.core._learner
+            assert learner.state is not None
             params = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), learner.state.params)
             learner.state = dataclasses.replace(learner.state, params=params)
 

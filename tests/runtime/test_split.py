@@ -102,7 +102,9 @@ def test_learners_and_actors_that_are_lost_change_no_bit_of_what_one_learner_lea
         assert {row["runtime/policy_lag"] for row in rows[1:]} == {1}
     assert [row["update"] for row in rows] == expected
     assert_same_bits(final_arrays(tmp_path / "run"), two_devices)
-    description = newest_good(tmp_path / "run" / "checkpoints")[0].description
+    checkpoint, _ = newest_good(tmp_path / "run" / "checkpoints")
+    assert checkpoint is not None
+    description = checkpoint.description
     found = {"learners": 2, "rollout_actors": config.run.num_rollout_actors, "devices": 2}
     assert description["topology"].items() >= found.items()
     other = description["topology"] | {"learners": 1, "devices": 1}

@@ -497,10 +497,8 @@ def test_a_family_of_mechanisms_that_a_size_has_no_room_for(capsys, options, siz
 
 
 def test_an_action_space_that_training_has_no_policy_for(capsys, monkeypatch):
-    class NoPolicy(MultiDiscrete):
-        distribution = None
-
-    monkeypatch.setattr(ACTION_SPACES, "_parts", {**ACTION_SPACES._parts, "mine": NoPolicy()})
+    no_policy = type("NoPolicy", (MultiDiscrete,), {"distribution": None})
+    monkeypatch.setattr(ACTION_SPACES, "_parts", {**ACTION_SPACES._parts, "mine": no_policy()})
     line = _refusal(capsys, "--recipe", "tiny", "--env.action_space", "mine")
     assert "env.action_space is 'mine'" in line and "use 'multi_discrete' or 'continuous' or 'discrete'" in line
 

@@ -60,7 +60,7 @@ def finish(process: subprocess.Popen[str], *, limit_s: float = LIMIT_S, status: 
 
 
 def wait_for(
-    condition: Callable[[], bool], process: subprocess.Popen[str], what: str, *, limit_s: float = LIMIT_S
+    condition: Callable[[], object], process: subprocess.Popen[str], what: str, *, limit_s: float = LIMIT_S
 ) -> None:
     """Until the condition holds; fails when the process ends or takes too long before."""
     deadline = time.monotonic() + limit_s

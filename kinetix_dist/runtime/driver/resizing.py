@@ -13,15 +13,14 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Protocol
 
 from kinetix_dist.config import TrainConfig
-from kinetix_dist.runtime.driver.evaluations import Evaluations
-from kinetix_dist.runtime.driver.refreshes import CuratorClient
-from kinetix_dist.runtime.driver.roles import Trainer
 from kinetix_dist.runtime.driver.stopping import StopRequested, StopSignals
 from kinetix_dist.runtime.processes.placement import (
     Placement,
     PlacementError,
+    ProcessPlan,
     counted,
     needed_by,
     nodes_in_words,
@@ -33,6 +32,22 @@ POLL_S = 0.2
 NOTE_AFTER_S = 3.0  # what ended processes held is free a little after their end
 
 
+class _Trainer(Protocol):
+    """The part of `roles.Trainer` that changes its size."""
+
+    def stop(self) -> None: ...
+
+    def place(self, placement: Placement) -> None: ...
+
+
+class _InBackground(Protocol):
+    """A role whose processes work in the background."""
+
+    def stop(self) -> None: ...
+
+    def place(self, plans: Sequence[ProcessPlan]) -> None: ...
+
+
 class Resizing:
     """Resizing of a run on Ray. Where processes are lost and their nodes are not, it does nothing."""
 
@@ -41,8 +56,8 @@ class Resizing:
         config: TrainConfig,
         backend: RayBackend,
         placement: Placement,
-        trainer: Trainer,
-        background: Mapping[str, CuratorClient | Evaluations],
+        trainer: _Trainer,
+        background: Mapping[str, _InBackground],
         *,
         on_event: Callable[..., None],
         on_note: Callable[[str], None],
