@@ -6,6 +6,8 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
 
 import pytest
 import ray
@@ -14,7 +16,7 @@ from ray._private import utils
 from kinetix_dist.cli.main import main
 from kinetix_dist.runtime.processes.failures import RayFailedError
 from kinetix_dist.runtime.processes.placement import PlacementError
-from kinetix_dist.runtime.processes.ray_setup import own_signals, secure_token, use_token, without_services
+from kinetix_dist.runtime.processes.ray_setup import joining, own_signals, secure_token, use_token, without_services
 from tests.helpers import REPOSITORY, next_line, python_path
 
 TINY_ON_RAY = ["train", "--recipe", "tiny", "--evaluation.sets", "s/kick", "--run.placement", "colocated"]
@@ -121,6 +123,17 @@ def test_a_wrong_and_a_missing_token_are_refused_in_one_line(home):
             assert "c" * 64 not in done.stderr and "Traceback" not in done.stderr
     finally:
         head.communicate()  # its stdin ends, and Ray with it
+
+
+def test_a_console_that_cannot_be_held_back_is_said_by_the_error_of_the_system(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error used to be hidden by another one, of the text that was not there yet."""
+    monkeypatch.setattr(tempfile, "tempdir", str(home / "missing"))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        host, port = server.getsockname()
+        with pytest.raises(FileNotFoundError, match="missing"), joining(f"{host}:{port}"):
+            pytest.fail("nothing joins")
 
 
 def test_a_ray_that_did_not_start_in_its_time_is_one_line_that_says_what_to_do():

@@ -116,8 +116,8 @@ def joining(address: str) -> Generator[None]:
 def _console_held_back(held: bytearray) -> Generator[None]:
     """Hold back the console: append text that the block writes to stderr, in C++ too, to `held`."""
     sys.stderr.flush()
-    console = os.dup(2)
     with tempfile.TemporaryFile() as file:
+        console = os.dup(2)
         os.dup2(file.fileno(), 2)
         try:
             yield
