@@ -1,4 +1,4 @@
-"""Split placement: rollout actors play while the learner learns from what they played before. Lag 1, by construction.
+"""Split placement: rollout actors play the next batch while the learners learn from the last. Lag 1, by construction.
 
     update u of the learner        uses batch u, played by version u - 1 (batch 0: by version 0)
     at the same time               batch u + 1 is played by version u
@@ -209,7 +209,7 @@ class SplitTrainer:
 
     def _reset(self) -> None:
         if hasattr(self, "_work"):
-            # What was being played, or waited for the learners, when these were lost: it is played again.
+            # Batches in flight are lost with the learners, and are played again.
             self._work.drop(sum(self._schedule.at(update).config.rollout.steps_per_update for update in self._orders))
             self._dropped_before += self._work.dropped_steps
         self._work = WorkBuffer(num_parts=len(self._rollout_plans), lag=self.policy_lag)
@@ -267,9 +267,9 @@ class SplitTrainer:
         )
 
     def _receive(self, update: int, *, until: Sequence[Future[Any]] = ()) -> None:
-        """Parts of a batch as they come: all of them, or those that are there before one of `until` is answered.
+        """Receive the parts of a batch, until all have come or a future of `until` is ready.
 
-        An actor that is lost is replaced and plays its parts again.
+        Replaces lost actors, which play their parts again.
         """
         while missing := self._work.missing(update):
             headers = {part: self._in_flight[update, part][0] for part in missing}
@@ -314,13 +314,13 @@ class SplitTrainer:
         return None
 
     def _staged(self, update: int) -> list[list[_CopiesOfPart]]:
-        """Waits until a batch lies on the devices of all learners: by part, what each of them copied."""
+        """Wait until a batch is on the devices of all learners. Returns the copies of each learner, by part."""
         by_part = self._staging.pop(update)
         answers = iter(self.backend.gather([future for futures in by_part for future in futures]))
         return [[next(answers) for _ in futures] for futures in by_part]
 
     def _replace(self, lost: Mapping[int, WorkerLostError]) -> None:
-        """Rollout actors by others, all at the same time; what they were at is played again."""
+        """Replace lost rollout actors, all at the same time, and order their parts again."""
         for part, error in lost.items():
             if self.backend.has_lost_resources:  # it went with its node: the whole run is placed again
                 raise error

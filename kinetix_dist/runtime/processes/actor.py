@@ -29,7 +29,7 @@ from kinetix_dist.runtime.processes.measures import Meter, Reading, facts_of, wh
 from kinetix_dist.runtime.processes.placement import ProcessPlan
 from kinetix_dist.telemetry.sizes import bytes_of
 
-# Package and file of Python frames in which a program is traced, lowered or compiled.
+# Package and file of the Python frames that trace, lower or compile programs.
 COMPILING = (
     ("jax", "partial_eval.py"),
     ("jax", "mlir.py"),
@@ -85,7 +85,7 @@ class ProcessActor:
 
     @ray.method(concurrency_group="control")
     def ping(self) -> int:
-        """The process id; that it comes back, while a call runs too, says that the process is not stopped."""
+        """Return the process id, also while a call runs. An answer shows that the process is not stopped."""
         return os.getpid()
 
     @ray.method(concurrency_group="control")
@@ -100,12 +100,14 @@ class ProcessActor:
         return self._meter.read(has_device=self._core is not None)
 
     def prepare(self) -> dict[str, Any]:
-        """Before JAX starts: sets how much of the GPU is XLA's. Returns where the process is, what it has, and
-        where its packages come from."""
+        """Set XLA's part of the GPU memory, before JAX starts.
+
+        Returns the host, process id and memory of this process, and the origin of its packages.
+        """
         with self._failures("prepare"):
             if self._plan.memory is not None:
                 self._budget = budget_of(self._plan.name, self._plan.memory, this_gpu())
-                os.environ.pop("XLA_PYTHON_CLIENT_MEM_FRACTION", None)  # an older name of what follows
+                os.environ.pop("XLA_PYTHON_CLIENT_MEM_FRACTION", None)  # older name of the variable below
                 os.environ.update(self._budget.environment)
             return {**whereabouts(self._budget), "imports": imported_from()}
 
@@ -117,9 +119,9 @@ class ProcessActor:
             return f"{host}:{probe.getsockname()[1]}"
 
     def join(self, rank: int, coordinator: str, num_processes: int, heartbeat_timeout_s: int) -> None:
-        """Forms one JAX world with the other processes of the group. Waits for all of them.
+        """Form a JAX world with the other processes of the group. Waits for all of them.
 
-        heartbeat_timeout_s: after which JAX ends the others of a group that has a silent one.
+        heartbeat_timeout_s: silence of a process after which JAX ends the other processes of its group.
         """
         import jax
 
@@ -145,9 +147,9 @@ class ProcessActor:
             return answer
 
     def call_with_header(self, method: str, /, *arguments: Any, **named: Any) -> Generator[Any]:
-        """Calls a method that returns (header, content); gives content, then header with the cost of storing content.
+        """Call a method that returns (header, content), yield the content, then the header with the cost of storing.
 
-        Ray stores what a generator gives before it resumes it.
+        Ray stores the first value of a generator before it asks for the next.
         """
         with self._failures(method), self._meter.calling(method):
             header, content = Call(method, arguments, named).on(self._core)
@@ -174,7 +176,7 @@ class ProcessActor:
         self._working[threading.get_ident()] = (method, time.monotonic())
         try:
             yield
-        except (ray.exceptions.RayError, KernelError):  # what it was to fetch is lost, or it refuses: not its failure
+        except (ray.exceptions.RayError, KernelError):  # an input is lost, or the settings are refused: not its failure
             raise
         except Exception as error:
             raise failure_of(self._plan.name, error, self._budget) from None
@@ -189,7 +191,7 @@ def _doing(thread: int, method: str, since: float) -> Doing:
     files = [Path(called.f_code.co_filename).parts for called, _ in traceback.walk_stack(frame)]
     is_compiling = any(package in file and file[-1] == name for file in files for package, name in COMPILING)
     place = f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}"
-    # Python's innermost frame is JAX's where a device, or a collective with the other processes, is waited for.
+    # While a call waits for a device or for a collective, the innermost Python frame is in JAX.
     is_waiting = "jax" in Path(frame.f_code.co_filename).parts
     place = f"compiling, at {place}" if is_compiling else f"at {place}"
     what = f"in {method} for {time.monotonic() - since:.0f} s, {place}"

@@ -68,9 +68,14 @@ class RayBackend(Backend):
         modules: Sequence[str] = (),
         fork_server: ForkServer | None = None,
     ) -> None:
-        """on_event: called with kind and details of every process that starts: where, with how much memory. modules:
-        that processes import, by name; they are forked with them where they can be (`fork_server.py`). fork_server: one
-        that was started before, with these modules; it is stopped with the backend."""
+        """Connect to Ray, or start it.
+
+        Args:
+            heartbeat_seconds: longest silence of a process before it counts as lost
+            on_event: called with the kind and details of each start of a process, such as its host and memory
+            modules: names of the modules that processes import; the fork server imports them once (`fork_server.py`)
+            fork_server: a running fork server with these modules; the backend stops it when it stops
+        """
         self._on_event = on_event
         self.sections = Sections()
         self.losses = Losses()
@@ -78,7 +83,7 @@ class RayBackend(Backend):
         self._supervisor = Supervisor(heartbeat_seconds, self.sections)
         self._watchdog: Watchdog | None = None
         self._fork_server = fork_server
-        self._loopback = "1"  # whether processes listen on loopback alone, unless the environment says otherwise
+        self._loopback = "1"  # "1" if processes listen only on loopback; the environment overrides it
         self._group: Any = None  # the GPUs of the run, one bundle each
         self._needed = Resources(0, 0)  # for all processes of the run
         self._readings = Readings()
@@ -90,7 +95,7 @@ class RayBackend(Backend):
         self._owns_ray = True
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-        # A result without a reader may have failed: Ray would say so on the console.
+        # Ray would print failures of results that nobody reads.
         os.environ.setdefault("RAY_IGNORE_UNHANDLED_ERRORS", "1")
         address = os.environ.get("RAY_ADDRESS")
         # log_to_driver: actors log to Ray's session directory; what fails is raised here.
@@ -130,7 +135,7 @@ class RayBackend(Backend):
 
     @property
     def is_on_this_machine(self) -> bool:
-        """Says whether all processes are on this machine: a Ray that was started here has one node."""
+        """True if all processes are on this machine: a Ray that this process started has a single node."""
         return self._owns_ray and not self.has_joined_a_cluster
 
     @property
@@ -139,9 +144,9 @@ class RayBackend(Backend):
         return total_resources().gpus
 
     def reserve(self, placement: Placement) -> None:
-        """Takes the GPUs of a run, so that who shares one with whom is the same after every restart.
+        """Reserve the GPUs of a run, so that the same processes share a GPU after each restart.
 
-        Raises PlacementError where others hold them, or where the cluster has too few CPU slots: one a process.
+        Raises PlacementError if other runs hold them, or if the cluster has fewer CPU slots than the run has processes.
         """
         self.release()
         self._needed = needed_by(placement)
@@ -164,7 +169,7 @@ class RayBackend(Backend):
         self._group = group
 
     def release(self) -> None:
-        """Gives the GPUs back. Ray ends the processes on them."""
+        """Release the GPUs. Ray ends the processes on them."""
         if self._group is not None:
             ray.util.remove_placement_group(self._group)
             self._group = None
@@ -177,11 +182,10 @@ class RayBackend(Backend):
         return not total_resources().holds(self._needed)
 
     def resources(self) -> Resources:
-        """Resources that no process holds, and those that the processes of the run do."""
+        """Free resources, and the resources of the run's processes."""
         held = self._needed if self._group is not None else Resources(self._supervisor.num_watched, 0)
-        return (free_resources() + held).at_most(
-            total_resources()
-        )  # Ray counts what was just taken as free for a moment
+        # For a moment Ray still counts newly taken resources as free.
+        return (free_resources() + held).at_most(total_resources())
 
     def _check_cpus(self, needed: int) -> None:
         """Ray itself would wait for ever, without a word."""
@@ -367,7 +371,7 @@ class RayBackend(Backend):
         return found
 
     def _check_ray(self) -> None:
-        """Raises RayFailedError where Ray itself is gone: it would end this process, a minute later and by itself."""
+        """Raise RayFailedError if Ray has ended: a minute later it would end this process without a message."""
         if lost := self._lost_servers():
             raise RayFailedError(f"Ray was ended on this machine ({', '.join(lost)}), by `ray stop` for instance")
 
@@ -384,7 +388,7 @@ class RayBackend(Backend):
                 self._watchdog.end_what_is_left()
 
     def _leave_ray(self) -> bool:
-        """Leaves Ray; says whether Ray has ended its processes, where they are this backend's to end."""
+        """Disconnect from Ray. Returns False if this backend still has to end its processes."""
         if not self._owns_ray:
             self.release()
             return True
