@@ -1,4 +1,4 @@
-"""Calls of processes: the type checker refuses a wrong method, argument count or argument, and nothing else."""
+"""Calls of processes: how arguments travel, and which calls the type checker refuses."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import pytest
+
+from kinetix_dist.runtime.processes.calls import Future
+from kinetix_dist.runtime.processes.local import LocalHandle
+from kinetix_dist.runtime.processes.placement import ProcessPlan
+from kinetix_dist.runtime.processes.ray_calls import actors_of
 from tests.helpers import REPOSITORY
 
 WRONG = "# wrong"
@@ -64,6 +71,45 @@ def starts(backend: Backend, plans: list[ProcessPlan], config: TrainConfig) -> N
     Group(plans, build_rollout, config)  # wrong
     backend.spawn(plans, build_rollout, config, "2")  # wrong
 """
+
+
+class Adder:
+    def add(self, a: int, b: int) -> int:
+        return a + b
+
+    def with_header(self, a: int) -> tuple[dict[str, Any], int]:
+        return {"a": a}, 2 * a
+
+    def doubled(self, number: Future[int]) -> int:
+        return 2 * number.fetch()
+
+
+class LoudAdder(Adder):
+    def add(self, a: int, b: int) -> int:
+        return 100 * super().add(a, b)
+
+
+def handle_of(core: Adder) -> LocalHandle[Adder]:
+    return LocalHandle(ProcessPlan(role="worker", index=0), core)
+
+
+def test_a_future_is_an_argument_by_position_or_name() -> None:
+    handle = handle_of(Adder())
+    three = handle.call(Adder.add, 1, b=2)
+    assert three.fetch() == 3
+    assert handle.call(Adder.add, three.as_argument(), b=three.as_argument()).fetch() == 6
+    header, content = handle.call_with_header(Adder.with_header, a=three.as_argument())
+    assert (header.fetch(), content.fetch()) == ({"a": 3, "put": (0, 0.0)}, 6)
+    assert handle.call_in_background(Adder.doubled, number=three).fetch() == 6  # the method fetches it
+
+
+def test_a_call_reaches_the_method_of_a_subclass() -> None:
+    assert handle_of(LoudAdder()).call(Adder.add, 1, 2).fetch() == 300
+
+
+def test_handles_of_another_backend_are_refused() -> None:
+    with pytest.raises(TypeError, match="LocalHandle belongs to another backend"):
+        actors_of([handle_of(Adder())])
 
 
 def lines_with_errors(source: str, folder: Path) -> set[int]:

@@ -203,7 +203,7 @@ def test_processes_say_how_idle_they_are_and_what_they_hold_and_moved(
     backend: RayBackend, restarted: Restarted
 ) -> None:
     busy, idle = restarted[0]
-    backend.gather([busy.call(Compiler.sleep, 0.0), idle.call(Compiler.sleep, 0.0)])
+    backend.gather([busy.call(Compiler.sleep, 0.0), idle.call(Compiler.sleep, seconds=0.0)])
     call = busy.call(Compiler.sleep, 3.0, np.zeros(1 << 20, np.uint8))
     found: dict[str, float] = {}
     deadline = time.monotonic() + PATIENCE_S
@@ -232,7 +232,7 @@ def test_what_is_needed_next_is_fetched_while_a_call_computes_and_storing_it_is_
     header, content = actor.call_with_header(Compiler.give, 1 << 20)
     (found,) = backend.gather([header])
     assert found["size"] == found["put"][0] == 1 << 20 and found["put"][1] > 0
-    handed = learner.call_in_background(Compiler.hand, content)
+    handed = learner.call_in_background(Compiler.hand, content=content)
     first = backend.first_ready([computing, handed])
     assert first and all(future is computing or future is handed for future in first)
     assert backend.gather([computing, handed]) == [1 << 20, None]
@@ -325,7 +325,7 @@ def test_a_call_that_lacks_its_argument_is_the_loss_of_who_was_to_make_it(
 ) -> None:
     (well, lost), _ = restarted
     lost.call(Compiler.sleep, 1000.0)
-    made_of_it = well.call(Compiler.sleep, lost.call(Compiler.num_hits).as_argument())
+    made_of_it = well.call(Compiler.sleep, seconds=lost.call(Compiler.num_hits).as_argument())
     _signal(lost, signal.SIGKILL)
     with pytest.raises(InputLostError, match="worker 1 died before worker 0 had its answer") as caught:
         backend.gather([made_of_it])
