@@ -12,7 +12,7 @@ from kinetix_dist.config import EvaluationConfig, RecordingConfig, TrainConfig, 
 from kinetix_dist.recipes import recipe
 from kinetix_dist.renamed_settings import refuse_old_options
 
-# A run evaluates at its beginning and end; the easiest designed level, which fits every size, takes least time.
+# A measured run evaluates nothing. A configuration names a set, and a GPU has memory reserved for it: the smallest.
 EVALUATION = EvaluationConfig(sets=("s/hop_home",), attempts=1, min_attempts=0)
 NUM_WARM_UPDATES = 2  # of a run, not measured: the first compiles, the second may load what the first compiled
 SHARE = "time/"  # of a metric: the share of an update that a role took
@@ -60,13 +60,13 @@ def with_fields(config: TrainConfig, assignments: tuple[str, ...]) -> TrainConfi
 
 
 def shortened(config: TrainConfig, num_updates: int) -> TrainConfig:
-    """`config` for so many updates, with as little evaluating, recording and saving as a run can do."""
+    """Return `config` for so many updates and nothing else: no evaluation, recording, picture or checkpoint."""
     run = dataclasses.replace(
         config.run,
         total_env_steps=num_updates * config.rollout.steps_per_update,
         max_seconds=0.0,
         stop_at=0.0,
-        checkpoint_every=num_updates + 1,
+        only_updates=True,
     )
     return dataclasses.replace(config, run=run, evaluation=EVALUATION, recording=RecordingConfig(num_rollouts=0))
 
@@ -74,6 +74,12 @@ def shortened(config: TrainConfig, num_updates: int) -> TrainConfig:
 def speeds(rows: list[dict[str, Any]]) -> list[float]:
     """Environment steps/s of the measured updates, everything included."""
     return [row["progress/env_steps_per_second"] for row in measured(rows)]
+
+
+def seconds_before(rows: list[dict[str, Any]]) -> float:
+    """Return the seconds between the first update, which compiles, and the measured ones."""
+    seconds = {row["update"]: row["progress/seconds"] for row in rows}
+    return seconds[NUM_WARM_UPDATES] - seconds[1]
 
 
 def measured(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

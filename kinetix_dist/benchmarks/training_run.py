@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,17 @@ from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.child_python import command_of
 from kinetix_dist.config import TrainConfig, from_dict, to_dict
 from kinetix_dist.errors import UserError, one_line, user_errors
-from kinetix_dist.jax_checks import check_arithmetic, check_settings
-from kinetix_dist.program_cache import enable_compile_cache
-from kinetix_dist.runtime import PlacementError, RunDirectory, count_gpus, plan_placement, resolve_device, train
+from kinetix_dist.runtime import (
+    PlacementError,
+    RunDirectory,
+    StoppedError,
+    count_gpus,
+    plan_placement,
+    resolve_device,
+    train,
+)
+from kinetix_dist.runtime import RunFailedError as TrainingFailedError
+from kinetix_dist.telemetry.sinks.console import Progress
 from kinetix_dist.telemetry.sinks.jsonl import read_jsonl
 
 
@@ -33,20 +41,64 @@ class TrainingRun:
     rows: list[dict[str, Any]]
 
 
-def run_training(config: TrainConfig) -> TrainingRun:
-    """Runs `config` from the start to its end in a directory that is removed afterwards.
+class RunFailedError(Exception):
+    """A run that ended before its end, or its process, with the reason."""
 
-    Raises UserError for what cannot run on this machine.
+
+class UpdateLines:
+    """`Progress` of a measured run: a line for each step and each update."""
+
+    def __init__(self, report: Callable[[str], None], *, num_updates: int, num_warm: int) -> None:
+        """Take the receiver of the lines, the updates of the run, and how many of them are not measured."""
+        self._report = report
+        self._num_updates = num_updates
+        self._num_warm = num_warm
+
+    def set_phase(self, phase: str) -> None:
+        if phase == "compiling":
+            self._report("  compiling: the first update compiles, and is not measured")
+
+    def set_seconds_left(self, seconds: float | None) -> None:
+        """Every update has its line."""
+
+    def note(self, message: str) -> None:
+        self._report(f"  {message}")
+
+    def write(self, update: int, metrics: Mapping[str, float]) -> None:
+        speed = f"{metrics['progress/env_steps_per_second']:,.0f} env steps/s"
+        if update == 1:
+            speed = f"{metrics['progress/seconds']:.1f} s"
+        is_measured = update > self._num_warm
+        self._report(f"  update {update} of {self._num_updates}: {speed}{'' if is_measured else ', not measured'}")
+        if update == self._num_warm:
+            self._report(f"  measuring {self._num_updates - self._num_warm} updates")
+
+    def close(self) -> None:
+        """Lines are complete."""
+
+
+def run_training(config: TrainConfig, progress: Progress | None = None) -> TrainingRun:
+    """Run `config` from its start to its end in a directory that is removed afterwards.
+
+    Args:
+        config: The run.
+        progress: Shows it; None for the console of `kinetix-dist train`.
+
+    Raises:
+        UserError: The run cannot start on this machine.
+        RunFailedError: A process of the run failed.
+        KeyboardInterrupt: A signal stopped the run.
     """
     with tempfile.TemporaryDirectory(prefix="kinetix-bench-") as folder:
         run = RunDirectory.create(Path(folder) / "run", numbered=False)
         try:
-            check_settings()
-            check_arithmetic()
-            enable_compile_cache(config.run.compile_cache)
             with user_errors(CheckpointError, PlacementError, FileNotFoundError):
-                report = train(config, run, resume=False)
+                report = train(config, run, resume=False, console=progress)
             return TrainingRun(report=report, rows=list(read_jsonl(run.metrics / "metrics.jsonl")))
+        except TrainingFailedError as error:
+            raise RunFailedError(one_line(error)) from error
+        except StoppedError as error:
+            raise KeyboardInterrupt from error
         finally:
             run.close()
 
@@ -67,10 +119,6 @@ def check_placement(config: TrainConfig, num_gpus: int) -> None:
 
 MODULE = "kinetix_dist.benchmarks.training_run"
 CONFIG, RUN = "config.json", "run.json"
-
-
-class RunFailedError(Exception):
-    """Failure of a process that ended without a run, with its last line."""
 
 
 def environment_of(placement: str, devices: int, *, on_gpu: bool) -> dict[str, str]:
@@ -120,7 +168,7 @@ def run_in_process(config: TrainConfig, environment: Mapping[str, str], *, timeo
 def main(folder: Path) -> int:
     try:
         run = run_training(from_dict(json.loads((folder / CONFIG).read_text())))
-    except UserError as error:
+    except (UserError, RunFailedError) as error:
         sys.stderr.write(f"{error}\n")
         return 2
     (folder / RUN).write_text(json.dumps(dataclasses.asdict(run)))

@@ -1,7 +1,8 @@
 """`bench train`: environment steps per second of a recipe, everything included, and where the time goes.
 
-A short run through the same `train` as `kinetix-dist train`, in a temporary directory. The first two updates are not
-measured. One record (`TrainingRecord`).
+A short run through the same `train` as `kinetix-dist train`, in a temporary directory, that does nothing but update
+(`run.only_updates`). The first two updates are not measured. A line says when each update ends. One record
+(`TrainingRecord`).
 """
 
 from __future__ import annotations
@@ -14,11 +15,19 @@ from kinetix_dist.benchmarks.measuring import Results
 from kinetix_dist.benchmarks.training_options import (
     NUM_WARM_UPDATES,
     TrainingOptions,
+    seconds_before,
     shares_of_time,
     shortened,
     speeds,
 )
-from kinetix_dist.benchmarks.training_run import TrainingRun, check_placement, number_of_gpus, run_training
+from kinetix_dist.benchmarks.training_run import (
+    RunFailedError,
+    TrainingRun,
+    UpdateLines,
+    check_placement,
+    number_of_gpus,
+    run_training,
+)
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.errors import user_errors
 
@@ -64,18 +73,28 @@ class TrainingRecord:
     fastest: float
     share_of_time: dict[str, float]  # by role
     compile_seconds: float | None  # of the process that learns; None where it is not reported
+    first_update_seconds: float  # of training until the first update was done: it compiles
+    unmeasured_seconds: float  # between the first update and the measured ones
     wall_seconds: float  # of the run, compiling included
     config_hash: str
     versions: dict[str, str]
 
 
 def measure(options: Options, results: Results) -> None:
-    """One record."""
+    """Add one record, or a failure."""
     gpus = number_of_gpus(options.config().run.device)
     config = shortened(options.config(), options.updates)
     with user_errors(ValueError):
         check_placement(config, gpus)
-    record = record_of(options, config, run_training(config), gpus)
+    where = "GPU" if gpus else "CPU"
+    results.report(f"  starting {options.recipe} {config.env.size.upper()}, {config.run.placement}, on the {where}")
+    progress = UpdateLines(results.report, num_updates=options.updates, num_warm=NUM_WARM_UPDATES)
+    try:
+        run = run_training(config, progress)
+    except RunFailedError as error:
+        results.fail(f"{options.recipe}: {error}")
+        return
+    record = record_of(options, config, run, gpus)
     results.add(dataclasses.asdict(record))
     results.report(row(record))
 
@@ -109,6 +128,8 @@ def record_of(options: TrainingOptions, config: TrainConfig, run: TrainingRun, g
         fastest=round(max(found), 1),
         share_of_time=shares_of_time(run.rows),
         compile_seconds=report.get("compile_seconds"),
+        first_update_seconds=round(run.rows[0]["progress/seconds"], 3),
+        unmeasured_seconds=round(seconds_before(run.rows), 3),
         wall_seconds=report["wall_seconds"],
         config_hash=report["config_hash"],
         versions=report["versions"],

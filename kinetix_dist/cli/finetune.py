@@ -118,6 +118,8 @@ def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
     _check(known, rest)
     if known.slots is not None:
         hold_to_cpu()  # before a checkpoint is read
+    elif known.start is not None:
+        _hold_to_cpu_early(known, rest)
     from kinetix_dist.finetune.specialists import SCRATCH, like_policy, policy_at, start_from
 
     trained = None if known.start is None else policy_at(Path(known.start))
@@ -156,6 +158,28 @@ def _parse_new(known: argparse.Namespace, rest: list[str]) -> Args:
         together=known.together or 1,
         gif=known.gif,
     )
+
+
+def _hold_to_cpu_early(known: argparse.Namespace, rest: Sequence[str]) -> None:
+    """Keeps JAX off the GPUs that `train` will keep it off, before a checkpoint is read: reading one starts JAX.
+
+    The whole configuration is not known yet: network and environment are those of the checkpoint.
+    """
+    from kinetix_dist.runtime import PlacementError, hold_to_cpu
+
+    own = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    own.add_argument("--recipe", default=DEFAULT_RECIPE)
+    own.add_argument("--run.placement", dest="placement")
+    own.add_argument("--run.device", dest="device")
+    try:
+        options = vars(own.parse_known_args(list(rest))[0])
+    except argparse.ArgumentError as error:
+        raise UserError(f"{one_line(error)}; see `{PROG} --help`") from None
+    run = train.recipe_or_run(options.pop("recipe")).run
+    changed = {"placement": "local"} if known.each else {}
+    changed |= {name: value for name, value in options.items() if value is not None}
+    with user_errors(ValueError, PlacementError):
+        hold_to_cpu(dataclasses.replace(run, **changed))
 
 
 def _seeds_of(words: Sequence[str]) -> tuple[int, ...]:
@@ -247,7 +271,7 @@ def sized(config: TrainConfig, *, has_size: bool) -> TrainConfig:
     from kinetix_dist.runtime import PlacementError, hold_to_cpu
 
     with user_errors(PlacementError):
-        hold_to_cpu(config)
+        hold_to_cpu(config.run)
     start_computing(config.run.compile_cache)  # reading levels computes
     has_one_size = config.run.start_from and OBSERVATIONS[config.env.observation].gives == VECTOR
     size = config.env.size if has_size or has_one_size else None

@@ -99,7 +99,7 @@ def parse(
                 f"\noptions and their values in recipe {recipe_name!r}:\n",
             )
         )
-        shown = _recipe_or_run(recipe_name)
+        shown = recipe_or_run(recipe_name)
         if HELP_ALL not in overrides:
             text = options_help(overrides, shown, prog)
             print(f"{usage}\n{text}")
@@ -111,7 +111,7 @@ def parse(
         raise UserError("--run is empty or the current directory; name a directory of the run's own, or leave it out")
     if known.resume and known.start_from is not None:
         raise UserError("--from is for a new run, and a run that is resumed goes on from its own checkpoints; give one")
-    base = _recipe_or_run(known.recipe or default_recipe)
+    base = recipe_or_run(known.recipe or default_recipe)
     if known.resume:
         run, stored = _run_to_resume(run, base.run.name)
         base = stored if known.recipe is None else base
@@ -227,7 +227,7 @@ def _run(args: Args, stop: StopSignals) -> Path:
     directory, differs = None, ()
     try:
         with user_errors(PlacementError):
-            hold_to_cpu(config)
+            hold_to_cpu(config.run)
         start_computing(config.run.compile_cache)
         with user_errors(PlacementError):
             check_devices(config)
@@ -292,7 +292,7 @@ def _override(base: TrainConfig, overrides: list[str], prog: str) -> TrainConfig
         return parse_args(tyro.conf.FlagConversionOff[TrainConfig], overrides, prog=prog, default=base)
 
 
-def _recipe_or_run(name: str) -> TrainConfig:
+def recipe_or_run(name: str) -> TrainConfig:
     """Configuration of a recipe, or that of a run whose directory is named."""
     from kinetix_dist.recipes import RECIPES, recipe
 

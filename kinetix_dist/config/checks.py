@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from kinetix_dist.config.sections import EvaluationConfig, ImitationConfig, RolloutConfig, RunConfig
+from kinetix_dist.config.sections import (
+    EvaluationConfig,
+    ImitationConfig,
+    RecordingConfig,
+    RolloutConfig,
+    RunConfig,
+)
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.action_spaces import ACTION_SPACES
@@ -197,6 +203,19 @@ def check_imitation(
                 f"run.imitation_steps is {run.imitation_steps}, which{what} needs {name} {expected!r}, not {value!r}; "
                 "set it to that, or imitation_steps to 0"
             )
+
+
+def check_only_updates(run: RunConfig, evaluation: EvaluationConfig, recording: RecordingConfig) -> None:
+    """Raises ConfigError if a run of updates alone is to evaluate or record."""
+    wanted = {
+        "run.stop_at": run.stop_at,
+        "evaluation.every": evaluation.every,
+        "evaluation.every_seconds": evaluation.every_seconds,
+        "recording.every": recording.every,
+        "recording.num_rollouts": recording.num_rollouts,
+    }
+    if run.only_updates and (names := [name for name, value in wanted.items() if value]):
+        raise ConfigError(f"run.only_updates leaves out {', '.join(names)}; set only_updates to False, or these to 0")
 
 
 def check_stop(run: RunConfig, evaluation: EvaluationConfig) -> None:

@@ -147,6 +147,7 @@ class RunConfig:
     start_other_engine: bool = False  # also where it learned with other settings of the engine than this run
     total_env_steps: int = setting(0, minimum=0)  # after which training ends; 0: no such end
     max_seconds: float = setting(0.0, minimum=0)  # of training time, after which it ends; 0: no such end
+    only_updates: bool = False  # no evaluation, recording or checkpoint: for measurements of speed
     warmup_counts: bool = True  # max_seconds has the first update of each session in it, which compiles
     stop_at: float = setting(0.0, minimum=0, maximum=1)  # solve rate of each evaluation set that ends training; 0: none
     placement: str = setting("colocated", choices=PLACEMENTS)  # "local" (no ray), "colocated" or "split"

@@ -65,6 +65,7 @@ class TrainConfig:
         checks.check_curators(run, curriculum, self.curriculum_class)
         checks.check_rollout_actors(run, rollout)
         checks.check_stop(run, self.evaluation)
+        checks.check_only_updates(run, self.evaluation, self.recording)
         checks.check_imitation(self.env, self.policy, self.curriculum, self.imitation, run)
         if self.phases:
             self.check_batch()

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from kinetix_dist.benchmarks import curator_refresh, scaling, training_speed
 from kinetix_dist.benchmarks.training_options import shares_of_time, shortened, speeds, with_fields
-from kinetix_dist.benchmarks.training_run import RunFailedError, environment_of, run_in_process
+from kinetix_dist.benchmarks.training_run import RunFailedError, UpdateLines, environment_of, run_in_process
+from kinetix_dist.child_python import command_of
 from kinetix_dist.cli.main import main
-from kinetix_dist.config import to_dict
+from kinetix_dist.config import ConfigError, EvaluationConfig, RecordingConfig, TrainConfig, to_dict
 from kinetix_dist.recipes import RECIPES, recipe
+from kinetix_dist.runtime import RunDirectory, train
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
+from kinetix_dist.telemetry.json_lines import read_lines
+from tests.helpers import PATIENCE_S, python_path
 
 
 def bench(json_file: Path, *arguments: str) -> list[dict]:
@@ -49,7 +55,7 @@ def test_a_shortened_run_computes_what_the_recipe_computes(name: str) -> None:
     config, short = recipe(name), shortened(recipe(name), 7)
     assert short.hash == config.hash
     assert short.run.total_env_steps == 7 * config.rollout.steps_per_update
-    assert not short.recording.num_rollouts and short.run.checkpoint_every > 7
+    assert short.run.only_updates
 
 
 def test_a_point_of_scaling_has_as_many_workers_as_devices() -> None:
@@ -73,6 +79,24 @@ def test_a_process_sees_as_many_devices_as_it_is_to_use(monkeypatch: pytest.Monk
     on_cpu = environment_of("local", 2, on_gpu=False)
     assert on_cpu["XLA_FLAGS"] == "--other --xla_force_host_platform_device_count=2"
     assert "XLA_FLAGS" not in environment_of("colocated", 2, on_gpu=False)
+
+
+@pytest.mark.parametrize(
+    ("section", "says"),
+    [
+        (EvaluationConfig(every=2), "evaluation.every"),
+        (EvaluationConfig(every_seconds=2.0), "evaluation.every_seconds"),
+        (RecordingConfig(num_rollouts=1), "recording.num_rollouts"),
+        (RecordingConfig(num_rollouts=0, every=1), "recording.every"),
+    ],
+)
+def test_a_run_of_updates_alone_neither_evaluates_nor_records(
+    section: EvaluationConfig | RecordingConfig, says: str
+) -> None:
+    config = shortened(recipe("tiny"), 3)
+    name = "evaluation" if isinstance(section, EvaluationConfig) else "recording"
+    with pytest.raises(ConfigError, match=f"^run.only_updates leaves out {says};"):
+        dataclasses.replace(config, **{name: section})
 
 
 # How it is counted
@@ -103,7 +127,73 @@ def test_refreshes_are_told_from_updates_by_their_number() -> None:
     assert refreshes == pytest.approx([0.6 * 20.0, 0.6 * 25.0]) and probed == pytest.approx([0.6 * 25.0])
 
 
+def test_lines_say_what_a_measured_run_does() -> None:
+    lines: list[str] = []
+    progress = UpdateLines(lines.append, num_updates=3, num_warm=2)
+    progress.set_phase("compiling")
+    for update in (1, 2, 3):
+        progress.write(update, {"progress/env_steps_per_second": 1000.0 * update, "progress/seconds": 12.34})
+    assert [line.strip() for line in lines] == [
+        "compiling: the first update compiles, and is not measured",
+        "update 1 of 3: 12.3 s, not measured",
+        "update 2 of 3: 2,000 env steps/s, not measured",
+        "measuring 1 updates",
+        "update 3 of 3: 3,000 env steps/s",
+    ]
+
+
 # Real runs
+
+
+class Phases(UpdateLines):
+    """Phases of a run."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda line: None, num_updates=3, num_warm=2)
+        self.phases: list[str] = []
+
+    def set_phase(self, phase: str) -> None:
+        self.phases += [] if phase in self.phases else [phase]
+
+
+def trained(config: TrainConfig, folder: Path) -> tuple[RunDirectory, list[str]]:
+    """The directory of a run, and its phases."""
+    run, progress = RunDirectory.create(folder, numbered=False), Phases()
+    try:
+        train(config, run, resume=False, console=progress)
+    finally:
+        run.close()
+    return run, progress.phases
+
+
+def test_a_measured_run_compiles_and_updates_and_does_nothing_else(tmp_path: Path) -> None:
+    run, phases = trained(shortened(recipe("tiny"), 3), tmp_path / "run")
+    assert phases[0] == "compiling" and not {"evaluating", "recording"} & set(phases)
+    assert [row["update"] for row in read_lines(run.metrics / "metrics.jsonl").rows] == [1, 2, 3]
+    events = {row["event"] for row in read_lines(run.events).rows}
+    assert "run_finished" in events and not events & {"evaluated", "checkpoint_saved", "checkpoint_failed"}
+    for path in (run.checkpoints, run.evaluations_path, run.evaluation_rows, run.recordings):
+        assert not path.exists(), path
+    report = json.loads(run.report_path.read_text())
+    assert set(report["solve_rate"].values()) == {None} and report["seconds_by_role"]["evaluate"] == 0.0
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("placement", ["local", "colocated"])
+def test_a_recipe_for_the_cpu_is_measured_on_a_machine_with_a_gpu(placement: str, tmp_path: Path) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
+    arguments = ["bench", "train", "--recipe", "tiny", "--updates", "3", "--placement", placement]
+    done = subprocess.run(
+        command_of("kinetix_dist.cli.main", *arguments),
+        env=environment | {"PYTHONPATH": python_path()},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "update 3 of 3" in done.stdout
 
 
 @pytest.mark.long
@@ -118,13 +208,14 @@ def test_training_is_measured_and_its_run_removed(tmp_path: Path, monkeypatch: p
     assert 0 < record["slowest"] <= record["env_steps_per_second"] <= record["fastest"]
     assert sum(record["share_of_time"].values()) == pytest.approx(1.0, abs=0.01)
     assert record["share_of_time"]["learn"] > 0
+    assert record["unmeasured_seconds"] > 0 and 0 < record["first_update_seconds"] < record["wall_seconds"]
     assert not list(folder.glob("kinetix-bench-*"))
 
 
 def test_a_run_that_fails_in_its_process_says_why() -> None:
     config = shortened(recipe("tiny"), 3)
-    broken = dataclasses.replace(config, evaluation=dataclasses.replace(config.evaluation, sets=("nowhere",)))
-    with pytest.raises(RunFailedError, match="unknown level set 'nowhere'"):
+    broken = dataclasses.replace(config, run=dataclasses.replace(config.run, start_from="nosuch"))
+    with pytest.raises(RunFailedError, match="there is no checkpoint nosuch"):
         run_in_process(broken, {"JAX_PLATFORMS": "cpu"}, timeout_seconds=300)
 
 

@@ -43,6 +43,18 @@ def lowered() -> Iterator[list[tuple[str, str]]]:
     jax.monitoring.unregister_event_duration_listener(listen)
 
 
+def test_a_run_of_updates_alone_compiles_no_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(programs, "has_cores", lambda: True)
+    config, mesh = tiny_config(num_updates=8), data_mesh(jax.devices()[:1])
+    for only_updates in (False, True):
+        run = dataclasses.replace(config.run, only_updates=only_updates)
+        worker = Worker(dataclasses.replace(config, run=run), mesh, ahead_of=0)
+        worker.start(None)
+        assert bool(worker._evaluation_programs._jobs) is not only_updates
+        worker._evaluation_programs.wait()
+        worker._update_programs.wait()
+
+
 # Of rollout, update and scoring.
 PROGRAMS = {"jit(rollout)", "jit(update)", "jit(_score)"}
 

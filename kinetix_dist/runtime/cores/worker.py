@@ -207,7 +207,8 @@ class Worker(LearnerWorker):
         if self._ahead_of is None:
             return
         released, is_new = self.released(), self._ahead_of == 0
-        if is_new and jax.process_index() == 0:  # it begins with evaluations, see `training_run.py`
+        is_evaluated = is_new and not self._config.run.only_updates  # it begins with evaluations, see `training_run.py`
+        if is_evaluated and jax.process_index() == 0:
             self._evaluation_programs.begin(lambda: self._evaluator.compile_ahead(released))
         times = self._config.refresh_times
         version = times.next(self._ahead_of) if self._config.workers_curate else None

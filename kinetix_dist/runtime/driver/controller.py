@@ -152,7 +152,7 @@ class Controller:
             self._recover(error)
 
     def train(self) -> None:
-        """Updates until the configured end; saves a checkpoint there.
+        """Updates until the configured end; saves a checkpoint there, unless `run.only_updates`.
 
         Raises StoppedError at the end of an update in which a stop was requested, after a checkpoint is saved, and
         NotFiniteError where nothing can be learned.
@@ -168,8 +168,9 @@ class Controller:
         self._refreshes.end(self.num_updates)
         self._data.trained(self.num_updates)
         self.training_seconds_at_end = self.training_seconds
-        with self.stop.deferred():
-            self.save_now()
+        if not self.config.run.only_updates:
+            with self.stop.deferred():
+                self.save_now()
 
     def evaluate(self, phase: str) -> dict[str, dict[str, float]]:
         """Solve rates by level set. phase: what evaluations.jsonl calls it; "random_policy" plays random actions."""
@@ -289,8 +290,8 @@ class Controller:
         for evaluated in evaluations:
             self._report_evaluation(evaluated)
         # What the updates that are skipped began from is what to go back to.
-        is_well = self._skipped.in_a_row == 0
-        if is_well and _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
+        may_save = self._skipped.in_a_row == 0 and not self.config.run.only_updates
+        if may_save and _is_due(self.config.run.checkpoint_every, self.num_updates) and not self._is_over():
             self._curate_early()
             self._save()
 
@@ -332,6 +333,8 @@ class Controller:
         fields = {"steps": imitated.steps, "seconds": seconds, "loss": round(imitated.loss, 4), **about}
         self.run.event("imitated", **fields, curve=imitated.curve)
         self.reporter.note(_in_words(fields, imitated.curve))
+        if self.config.run.only_updates:
+            return
         began = time.monotonic()
         rates = self._evaluate(use_policy=True)
         self._report_evaluation(Evaluated(update=0, rates=rates, seconds=time.monotonic() - began))

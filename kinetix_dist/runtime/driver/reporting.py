@@ -26,7 +26,7 @@ from kinetix_dist.telemetry.json_lines import read_lines, utc_text
 from kinetix_dist.telemetry.names import check_metrics
 from kinetix_dist.telemetry.sinks import SINKS, Evaluation, Sink, SinkRun
 from kinetix_dist.telemetry.sinks.background import BackgroundSink, close_sinks
-from kinetix_dist.telemetry.sinks.console import ConsoleSink
+from kinetix_dist.telemetry.sinks.console import Progress
 from kinetix_dist.telemetry.sinks.jsonl import JsonlSink
 from kinetix_dist.telemetry.sinks.prometheus import PrometheusSink
 from kinetix_dist.telemetry.status import RUNNING, STATUS, Status, write_status
@@ -43,7 +43,7 @@ class RunReporter:
     def __init__(
         self,
         run: RunDirectory,
-        console: ConsoleSink,
+        console: Progress,
         *,
         total_env_steps: int = 0,
         metrics_port: int = 0,

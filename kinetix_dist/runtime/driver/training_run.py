@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinetix_dist.checkpoint import CheckpointError
-from kinetix_dist.config import TrainConfig, to_dict
+from kinetix_dist.config import RunConfig, TrainConfig, to_dict
 from kinetix_dist.env.env_config import describe
 from kinetix_dist.errors import one_line
+from kinetix_dist.jax_checks import check_arithmetic, check_settings
+from kinetix_dist.program_cache import enable_compile_cache
 from kinetix_dist.runtime.cores.build import MODULES
 from kinetix_dist.runtime.driver.checkpoints import LINEAGE
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
@@ -47,7 +49,7 @@ from kinetix_dist.runtime.processes.placement import (
 from kinetix_dist.runtime.processes.provenance import check_nodes, versions
 from kinetix_dist.runtime.processes.ray_setup import use_token
 from kinetix_dist.telemetry.sinks import RANDOM_POLICY
-from kinetix_dist.telemetry.sinks.console import ConsoleSink
+from kinetix_dist.telemetry.sinks.console import ConsoleSink, Progress
 from kinetix_dist.telemetry.status import FAILED, FINISHED, STOPPED
 
 if TYPE_CHECKING:
@@ -63,7 +65,7 @@ def train(
     run: RunDirectory,
     *,
     resume: bool,
-    console: ConsoleSink | None = None,
+    console: Progress | None = None,
     stop: StopSignals | None = None,
     fork_server: ForkServer | None = None,
 ) -> dict[str, Any]:
@@ -71,8 +73,14 @@ def train(
 
     fork_server: of `start_fork_server`, where that was called before.
 
-    Raises PlacementError, PortTakenError, CheckpointError, ValueError for what cannot run, before anything is computed,
-    RunFailedError where a process failed, and StoppedError where a stop was requested.
+    The caller need not prepare JAX: `train` keeps it off the GPUs that the processes of the run share, then checks its
+    settings and its arithmetic.
+
+    Raises:
+        PlacementError, PortTakenError, CheckpointError, UserError, ValueError: The run cannot start; nothing was
+            computed.
+        RunFailedError: A process failed.
+        StoppedError: A stop was requested.
     """
     stop = stop or StopSignals()
     stop.hint = f"; go on with --run {run.path} --resume"
@@ -187,7 +195,10 @@ def _from_start_to_report(
 
 
 def _from_first_to_last_update(controller: Controller, run: RunDirectory, reporter: RunReporter) -> dict[str, Any]:
-    """Evaluates, trains, evaluates, records; returns the evaluations."""
+    """Evaluates, trains, evaluates, records; returns the evaluations. `run.only_updates`: trains."""
+    if controller.config.run.only_updates:
+        controller.train()
+        return {}
     evaluations = _earlier_evaluations(run) if controller.num_updates else {}
     if controller.num_updates == 0:
         reporter.phase("evaluating")
@@ -226,7 +237,7 @@ def _write_or_fail(run: RunDirectory, path: Path, content: Any, then: str) -> No
         raise RunFailedError(f"{path} cannot be written: {one_line(error)}; free space there, {then}") from error
 
 
-def hold_to_cpu(config: TrainConfig) -> None:
+def hold_to_cpu(run: RunConfig) -> None:
     """Keeps JAX in this process off the GPUs, unless it is local mode that is to use one.
 
     Has to come before anything is computed, be it only a level that is looked at: JAX would take three quarters of a
@@ -234,7 +245,7 @@ def hold_to_cpu(config: TrainConfig) -> None:
     """
     import jax
 
-    if config.run.placement == "local" and resolve_device(config.run.device, num_gpus=count_gpus()) == "gpu":
+    if run.placement == "local" and resolve_device(run.device, num_gpus=count_gpus()) == "gpu":
         return
     jax.config.update("jax_platforms", "cpu")
     if jax.default_backend() != "cpu":
@@ -242,6 +253,16 @@ def hold_to_cpu(config: TrainConfig) -> None:
             f"JAX runs on {jax.default_backend()} in this process already, which is to compute on the CPU; "
             "start training from a process that has not used JAX, or set JAX_PLATFORMS=cpu"
         )
+
+
+def prepare_jax(config: TrainConfig) -> None:
+    """Prepares JAX in the process of a run, in the only order that works: the check of arithmetic starts JAX on every
+    device that it may use. Raises PlacementError, UserError."""
+    hold_to_cpu(config.run)
+    check_settings()
+    check_arithmetic()
+    enable_compile_cache(config.run.compile_cache)
+    check_devices(config)
 
 
 def check_devices(config: TrainConfig) -> None:
@@ -282,8 +303,7 @@ def _start_roles(
     recorder: Recorder,
     fork_server: ForkServer | None,
 ) -> Roles:
-    hold_to_cpu(config)
-    check_devices(config)
+    prepare_jax(config)
     if config.run.placement == "local":
         from kinetix_dist.runtime.processes.local import LocalBackend
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from typing import Protocol
 
 from rich.console import Console
 from rich.live import Live
@@ -16,6 +17,25 @@ from rich.text import Text
 from kinetix_dist.telemetry.names import check_metrics
 
 LOG_EVERY_S = 10.0  # without a terminal, so that a log of an hour stays readable
+
+
+class Progress(Protocol):
+    """Shows the progress of a run to a person."""
+
+    def set_phase(self, phase: str) -> None:
+        """Shows the current phase, a word or two."""
+
+    def set_seconds_left(self, seconds: float | None) -> None:
+        """Sets the time until the end of the run; None if it is unknown."""
+
+    def note(self, message: str) -> None:
+        """Shows a line that stays."""
+
+    def write(self, update: int, metrics: Mapping[str, float]) -> None:
+        """Shows the metrics of an update."""
+
+    def close(self) -> None:
+        """Ends the display."""
 
 
 class ConsoleSink:
