@@ -1,14 +1,19 @@
-"""What must work on every machine: a run on Ray is trained, resumed and evaluated, each by the command of a user.
+"""Smoke run of a machine: trains a run on Ray, resumes, evaluates and measures training, each by a user's command.
 
     python -m bench.smoke --json runs/smoke.json                                 # recipe tiny, on the CPU
     python -m bench.smoke --device gpu --json runs/smoke.json                    # recipe sfl_s, one process a GPU
     python -m bench.smoke --device gpu --options run.gpu_memory_gib=40 curriculum.refresh_every=2
+    python -m bench.smoke --device gpu --measured pretrain_m                     # `bench train` of this recipe only
 
-Curator and evaluator work beside training, as by default. Each record is a command: exit code, seconds, seconds from
-the command until the metrics of its first update were written and the seconds of these that are its own (the others are
-imports, processes and checkpoint), environment steps a second of its later updates (median), seconds spent compiling.
-Exit code 1 where a command fails or leaves out what it was for: a row of every update, all values of it finite but
-means over no episode and errors over one level, a solve rate. The table comes last, with the last words of what failed.
+Curator and evaluator work beside training, as by default. `bench train` runs on Ray too, for each recipe of --measured
+(GPUs: pretrain_m and pretrain_l). Each command gives a record: exit code, seconds, seconds from its start until the
+metrics of its first update were written, and the seconds of training in these (`warmup_seconds`: the rest is imports,
+processes and checkpoint), seconds of compiling, environment steps a second of later updates (median). `bench train`
+adds `unmeasured_seconds`, between its first update, which compiles, and the measured ones.
+
+The exit code is 1 if a command fails or leaves out its result: a row of every update, with finite values (except means
+over no episode and errors over one level), a solve rate, a measured speed. A table with the last words of each failed
+command ends the output.
 """
 
 from __future__ import annotations
@@ -40,14 +45,17 @@ from kinetix_dist.recipes import recipe
 from kinetix_dist.telemetry.json_lines import read_lines
 
 RECIPES = {"cpu": "tiny", "gpu": "sfl_s"}
+MEASURED = {"cpu": ("tiny",), "gpu": ("pretrain_m", "pretrain_l")}
+MEASURED_UPDATES = 6  # of `bench train`, which measures all but two
+UNMEASURED_S = 60.0  # from the end of compiling until `bench train` measures
 OPTIONS = ("--run.checkpoint_every", "2", "--evaluation.sets", "random_s", "--recording.make_pictures", "False")
 ATTEMPTS = 4
 LAST_WORDS = 2000  # characters kept of a command that failed
 LOOK_EVERY_S = 0.05
-# Of a size or a source of levels, of which an update may play none, and an error over levels that it may have one of.
+# Rates of a size or source of levels that an update need not play, and an error that needs two levels.
 MAY_BE_MISSING = ("train/solve_rate_", "curriculum/learnability_now_error")
 GRACE_S = 40.0  # for a run to save and end after SIGTERM
-OWN_OPTIONS = ("rollout.", "phases", "run.total_env_steps", "run.device", "run.placement")  # what smoke says itself
+OWN_OPTIONS = ("rollout.", "phases", "run.total_env_steps", "run.device", "run.placement")  # smoke sets these
 
 
 @dataclasses.dataclass
@@ -69,6 +77,8 @@ class Smoke:
         yield self._train("train", [*train, *new, *OPTIONS, *options, "--run.total_env_steps", str(steps)], 1)
         yield self._train("resume", [*train, "--resume", "--run.total_env_steps", str(2 * steps)], 2)
         yield self._evaluate()
+        for name in self.args.measured:
+            yield self._measure(name)
 
     def _train(self, name: str, arguments: list[str], times: int) -> dict[str, Any]:
         before = len(self._rows())
@@ -81,7 +91,7 @@ class Smoke:
         expected = list(range(1, times * self.args.updates + 1))
         if (found := [row["update"] for row in rows]) != expected:
             record["wrong"].append(f"metrics are of updates {found}, {expected[0]} to {expected[-1]} were to be made")
-        for row in rows:  # null is what a file of metrics has for what is not finite
+        for row in rows:  # a file of metrics has null for a number that is not finite
             nulls = [key for key in row if row[key] is None and not key.startswith(MAY_BE_MISSING)]
             record["wrong"] += [f"{key} of update {row['update']} is not finite" for key in nulls]
         return record
@@ -95,11 +105,28 @@ class Smoke:
             record["wrong"].append("there is no solve rate")
         return record
 
+    def _measure(self, name: str) -> dict[str, Any]:
+        """The record of `bench train` of a recipe."""
+        file = self.folder / f"bench-{name}.json"
+        options = ["--recipe", name, "--device", self.args.device, "--placement", "colocated"]
+        arguments = ["bench", "train", *options, "--updates", str(MEASURED_UPDATES), "--json", str(file)]
+        record = self._command(f"bench {name}", arguments) | {"recipe": name}
+        measured = json.loads(file.read_text() or "[]") if file.exists() else []
+        if not measured:
+            record["wrong"].append("no speed was measured")
+            return record
+        (found,) = measured
+        record |= {name: found[name] for name in ("env_steps_per_second", "compile_seconds", "unmeasured_seconds")}
+        record["warmup_seconds"] = found["first_update_seconds"]
+        if (seconds := found["unmeasured_seconds"]) > UNMEASURED_S:
+            record["wrong"].append(f"it measured {seconds:.0f} s after compiling; the limit is {UNMEASURED_S:.0f} s")
+        return record
+
     def _command(self, name: str, arguments: list[str], num_rows: int | None = None) -> dict[str, Any]:
-        """num_rows: of metrics before; None: none are waited for."""
+        """Run a command and return its record. It waits for the first row of metrics after `num_rows`, unless that is None."""
         command = command_of("kinetix_dist.cli.main", *arguments)
         began, first = time.monotonic(), None
-        with (self.folder / f"{name}.log").open("w+") as said:
+        with (self.folder / f"{name.replace(' ', '-')}.log").open("w+") as said:
             process = subprocess.Popen(
                 command,
                 env=os.environ | {"PYTHONPATH": python_path()},
@@ -137,7 +164,7 @@ class Smoke:
 
 
 def _end(process: subprocess.Popen[Any]) -> bool:
-    """Ends a command that goes on, with all that it started. Whether it had to."""
+    """End a command that still runs, with its processes. Return False if it had ended before."""
     if process.poll() is not None:
         return False
     started = psutil.Process(process.pid).children(recursive=True)
@@ -165,12 +192,16 @@ def main() -> int:
     parser.add_argument("--recipe", help=f"default: {RECIPES['cpu']} on a CPU, {RECIPES['gpu']} on GPUs")
     parser.add_argument("--updates", type=int, default=4, help="of each of the two trainings")
     parser.add_argument("--levels", default="designed_s", help="that are evaluated at the end")
+    parser.add_argument(
+        "--measured", nargs="*", metavar="RECIPE", help="of bench train; default: tiny, on GPUs pretrain_m pretrain_l"
+    )
     parser.add_argument("--options", nargs="*", default=[], metavar="NAME=VALUE", help="of train, without the dashes")
     parser.add_argument("--seconds", type=float, default=600.0, help="for each command")
     parser.add_argument("--keep", type=Path, help="a new directory for run and logs, which are thrown away otherwise")
     parser.add_argument("--json", type=output_file, help="a file for the records")
     args = parser.parse_args()
     args.recipe = args.recipe or RECIPES[args.device]
+    args.measured = MEASURED[args.device] if args.measured is None else args.measured
     return exit_code(parser, lambda: _smoke(args))
 
 
@@ -180,7 +211,8 @@ def _smoke(args: argparse.Namespace) -> int:
     if args.keep is not None and args.keep.exists():
         raise UserError(f"{args.keep} exists; name a new directory")
     try:
-        recipe(args.recipe)
+        for name in (args.recipe, *args.measured):
+            recipe(name)
     except ConfigError as error:
         raise UserError(str(error)) from None
     for option in args.options:
@@ -199,12 +231,12 @@ def _smoke(args: argparse.Namespace) -> int:
 def _show(args: argparse.Namespace, folder: Path) -> int:
     records = Smoke(folder, args).records()
     found = report_each(records, args.json, text=lambda record: f"{record['command']}: {record['seconds']} s")
-    print(f"\n{'command':<8} {'exit':>4} {'seconds':>8} {'first update':>13} {'its own':>8} {'env steps/s':>12}")
+    print(f"\n{'command':<16} {'exit':>4} {'seconds':>8} {'first update':>13} {'its own':>8} {'env steps/s':>12}")
     for record in found:
         rate = record.get("env_steps_per_second") or ""
         first = record["first_update_seconds"] or ""
         its_own = record.get("warmup_seconds") or ""
-        start = f"{record['command']:<8} {record['exit_code']:>4} {record['seconds']:>8}"
+        start = f"{record['command']:<16} {record['exit_code']:>4} {record['seconds']:>8}"
         print(f"{start} {first:>13} {its_own:>8} {rate:>12}")
     wrong = [f"{record['command']}: {what}" for record in found for what in record["wrong"]]
     print("\n".join(wrong) if wrong else "all as it is to be")

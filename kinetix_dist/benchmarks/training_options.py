@@ -14,8 +14,8 @@ from kinetix_dist.renamed_settings import refuse_old_options
 
 # A measured run evaluates nothing. A configuration names a set, and a GPU has memory reserved for it: the smallest.
 EVALUATION = EvaluationConfig(sets=("s/hop_home",), attempts=1, min_attempts=0)
-NUM_WARM_UPDATES = 2  # of a run, not measured: the first compiles, the second may load what the first compiled
-SHARE = "time/"  # of a metric: the share of an update that a role took
+NUM_WARM_UPDATES = 2  # of a run, not measured: the first compiles, the second may load its programs
+SHARE = "time/"  # of a metric: the fraction of an update that a role took
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class TrainingOptions(BenchmarkOptions):
 
 
 def with_fields(config: TrainConfig, assignments: tuple[str, ...]) -> TrainConfig:
-    """`config` with fields changed as "section.field=value" says; a value is JSON, or else a string."""
+    """Return `config` with each "section.field=value" applied; a value is JSON, or else a string."""
     content = to_dict(config)
     for assignment in assignments:
         name, is_assigned, text = assignment.partition("=")
@@ -60,7 +60,7 @@ def with_fields(config: TrainConfig, assignments: tuple[str, ...]) -> TrainConfi
 
 
 def shortened(config: TrainConfig, num_updates: int) -> TrainConfig:
-    """Return `config` for so many updates and nothing else: no evaluation, recording, picture or checkpoint."""
+    """Return `config` for `num_updates` updates and nothing else: no evaluation, recording, picture or checkpoint."""
     run = dataclasses.replace(
         config.run,
         total_env_steps=num_updates * config.rollout.steps_per_update,
@@ -88,7 +88,7 @@ def measured(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def shares_of_time(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """Shares of the time of the measured updates, by role; they add up to 1."""
+    """Return the fraction of the measured time by role; they add up to 1."""
     weights = [1.0 / speed for speed in speeds(rows)]  # updates have the same number of steps
     return {
         name.removeprefix(SHARE): round(statistics.fmean((row[name] for row in measured(rows)), weights), 4)

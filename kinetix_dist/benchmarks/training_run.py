@@ -1,4 +1,4 @@
-"""One short training run and its numbers, in this process or in one of its own. It alone uses the runtime.
+"""One short training run and its numbers, in this process or in its own. No other benchmark uses the runtime.
 
 python -m kinetix_dist.benchmarks.training_run FOLDER       reads FOLDER/config.json, writes FOLDER/run.json
 """
@@ -104,14 +104,14 @@ def run_training(config: TrainConfig, progress: Progress | None = None) -> Train
 
 
 def number_of_gpus(device: str) -> int:
-    """GPUs that a run with `run.device` would use; raises UserError where it needs one and there is none."""
+    """Return the number of GPUs that a run with `run.device` would use. Raise UserError if it lacks the one it needs."""
     num_gpus = count_gpus()
     with user_errors(PlacementError):
         return num_gpus if resolve_device(device, num_gpus=num_gpus) == "gpu" else 0
 
 
 def check_placement(config: TrainConfig, num_gpus: int) -> None:
-    """Raises ValueError where the roles of `config` do not fit on so many GPUs."""
+    """Raise ValueError if the roles of `config` do not fit on `num_gpus` GPUs."""
     resolve_device(config.run.device, num_gpus=num_gpus)
     if config.run.placement != "local":
         plan_placement(config, num_gpus=num_gpus)
@@ -122,7 +122,7 @@ CONFIG, RUN = "config.json", "run.json"
 
 
 def environment_of(placement: str, devices: int, *, on_gpu: bool) -> dict[str, str]:
-    """Variables with which a process sees so many devices."""
+    """Return the environment variables that show a process `devices` devices."""
     if on_gpu:
         visible = [name for name in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if name.strip()]
         chosen = visible[:devices] if visible else [str(number) for number in range(devices)]

@@ -1,7 +1,7 @@
-"""`bench train`: environment steps per second of a recipe, everything included, and where the time goes.
+"""`bench train`: environment steps per second of a recipe, everything included, and time by role.
 
 A short run through the same `train` as `kinetix-dist train`, in a temporary directory, that does nothing but update
-(`run.only_updates`). The first two updates are not measured. A line says when each update ends. One record
+(`run.only_updates`). The first two updates are not measured. It prints a line after each update. One record
 (`TrainingRecord`).
 """
 
@@ -34,7 +34,7 @@ from kinetix_dist.errors import user_errors
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options(TrainingOptions):
-    """Environment steps per second of training, and where the time goes."""
+    """Environment steps per second of training, and time by role."""
 
     updates: int = 8
     """Updates of the run; those after the first two are measured."""
@@ -72,7 +72,7 @@ class TrainingRecord:
     slowest: float
     fastest: float
     share_of_time: dict[str, float]  # by role
-    compile_seconds: float | None  # of the process that learns; None where it is not reported
+    compile_seconds: float | None  # of the process that learns; None if it is not reported
     first_update_seconds: float  # of training until the first update was done: it compiles
     unmeasured_seconds: float  # between the first update and the measured ones
     wall_seconds: float  # of the run, compiling included

@@ -115,6 +115,7 @@ def test_an_unknown_option_is_one_line(main: Callable, monkeypatch, capsys):
         (smoke.main, ["--options", "run.seed"], "--options has 'run.seed'; give NAME=VALUE"),
         (smoke.main, ["--keep", "."], ". exists; name a new directory"),
         (smoke.main, ["--recipe", "tinny"], "unknown recipe 'tinny'; did you mean 'tiny'?"),
+        (smoke.main, ["--measured", "tinny"], "unknown recipe 'tinny'; did you mean 'tiny'?"),
         (rl_loop.main, ["--worlds", "0"], "--worlds, --compiled-worlds, --steps and --repeats are 1 or more"),
         (kernel_profile.main, ["--worlds", "33"], "--worlds is 33; give a multiple of 32"),
         (kernel_profile.main, ["--preset", "nosuch"], "'nosuch'"),

@@ -23,12 +23,34 @@ def test_a_run_on_ray_is_trained_resumed_and_evaluated(tmp_path: Path, monkeypat
     file = tmp_path / "smoke.json"
     monkeypatch.setattr(sys, "argv", ["smoke", "--json", str(file), "--keep", str(tmp_path / "kept")])
     assert smoke.main() == 0
-    train, resume, evaluation = json.loads(file.read_text())
+    train, resume, evaluation, measured = json.loads(file.read_text())
     for record in (train, resume):
         assert record["exit_code"] == 0 and not record["wrong"]
         assert 0 < record["warmup_seconds"] < record["first_update_seconds"] < record["seconds"]
         assert record["env_steps_per_second"] > 0
     assert 0 <= evaluation["solve_rate"] <= 1
+    assert (measured["command"], measured["exit_code"], measured["wrong"]) == ("bench tiny", 0, [])
+    assert measured["env_steps_per_second"] > 0 and 0 < measured["warmup_seconds"] < measured["seconds"]
+
+
+@pytest.mark.parametrize(
+    ("unmeasured", "says"),
+    [(2.0, None), (61.0, "it measured 61 s after compiling"), (None, "no speed was measured")],
+)
+def test_a_speed_that_comes_late_or_never_is_wrong(unmeasured: float | None, says: str | None, tmp_path: Path) -> None:
+    speed = {"env_steps_per_second": 10.0, "compile_seconds": 1.0, "first_update_seconds": 3.0}
+    content = "" if unmeasured is None else json.dumps([speed | {"unmeasured_seconds": unmeasured}])
+
+    class Said(smoke.Smoke):
+        """`bench train` is not run: its file is written."""
+
+        def _command(self, name: str, arguments: list[str], num_rows: int | None = None) -> dict[str, Any]:
+            Path(arguments[arguments.index("--json") + 1]).write_text(content)
+            return {"command": name, "wrong": []}
+
+    record = Said(tmp_path, argparse.Namespace(device="cpu"))._measure("tiny")
+    assert [line.split(";")[0] for line in record["wrong"]] == ([says] if says else [])
+    assert record["recipe"] == "tiny" and record.get("unmeasured_seconds") == unmeasured
 
 
 class _Said(smoke.Smoke):

@@ -71,7 +71,7 @@ def train(
 ) -> dict[str, Any]:
     """Runs or resumes `run` to its configured end and returns the report, which is also written to report.json.
 
-    fork_server: of `start_fork_server`, where that was called before.
+    fork_server: of `start_fork_server`, if that was called.
 
     The caller need not prepare JAX: `train` keeps it off the GPUs that the processes of the run share, then checks its
     settings and its arithmetic.
@@ -160,11 +160,11 @@ def _from_start_to_report(
     *,
     resume: bool,
 ) -> dict[str, Any]:
-    """The report. `started` gets what ends what was started, first to last."""
+    """Return the report. Add functions to `started` that end the parts of the run, in their order."""
     began = time.monotonic()
     recorder = Recorder(run)
     stored = run.config = {"hash": config.hash, "config": to_dict(config)}
-    if not resume:  # so that a run which is stopped or fails while it starts goes on by --resume
+    if not resume:  # a run that is stopped or fails while it starts can be resumed
         _write_or_fail(run, run.config_path, stored, "then start the run again")
     try:
         roles = _start_roles(config, run, reporter, recorder, fork_server)
@@ -180,7 +180,7 @@ def _from_start_to_report(
         raise
     if config.cut_episodes:
         reporter.note(config.cut_episodes)
-    if resume:  # what is refused leaves the one there is
+    if resume:  # a refused resume leaves the stored one
         _write_or_fail(run, run.config_path, stored, f"then --run {run.path} --resume")
     evaluations = _from_first_to_last_update(controller, run, reporter)
     controller.clock.lap()
@@ -230,7 +230,7 @@ def _write_evaluations(run: RunDirectory, reporter: RunReporter, evaluations: di
 
 
 def _write_or_fail(run: RunDirectory, path: Path, content: Any, then: str) -> None:
-    """then: how the run goes on once there is space."""
+    """Write a file of the run, or raise RunFailedError. `then` says how the run resumes once there is space."""
     try:
         run.write_json(path, content)
     except OSError as error:
@@ -238,10 +238,10 @@ def _write_or_fail(run: RunDirectory, path: Path, content: Any, then: str) -> No
 
 
 def hold_to_cpu(run: RunConfig) -> None:
-    """Keeps JAX in this process off the GPUs, unless it is local mode that is to use one.
+    """Keep JAX in this process off the GPUs, unless a run in local mode uses one.
 
-    Has to come before anything is computed, be it only a level that is looked at: JAX would take three quarters of a
-    GPU's memory, which the processes of the run are about to share out. Raises PlacementError where it is too late.
+    Call it before anything is computed, even before a level or a checkpoint is read: JAX would take three quarters of
+    the memory of a GPU that the processes of the run use. Raises PlacementError if it is too late.
     """
     import jax
 
@@ -266,7 +266,7 @@ def prepare_jax(config: TrainConfig) -> None:
 
 
 def check_devices(config: TrainConfig) -> None:
-    """Raises PlacementError where this process is to train and has more devices than there are parts of a batch. After
+    """Raise PlacementError if this process trains and has more devices than a batch has parts. Call it after
     `hold_to_cpu`."""
     import jax
 
@@ -275,10 +275,9 @@ def check_devices(config: TrainConfig) -> None:
 
 
 def start_fork_server(config: TrainConfig) -> ForkServer | None:
-    """Starts the process that those of a run are forked from, early: it imports on another core while the command goes
-    on.
+    """Start the parent that a run forks its processes from, early: it imports on another core meanwhile.
 
-    None where there will be none.
+    Return None if the run will not fork any.
     """
     if config.run.placement == "local" or "RAY_ADDRESS" in os.environ or not ForkServer.can_run():
         return None
