@@ -123,7 +123,7 @@ class Smoke:
         return record
 
     def _command(self, name: str, arguments: list[str], num_rows: int | None = None) -> dict[str, Any]:
-        """Run a command and return its record. It waits for the first row of metrics after `num_rows`, unless that is None."""
+        """Return the record of a command, with the time of the first row of metrics after `num_rows`, if it is a number."""
         command = command_of("kinetix_dist.cli.main", *arguments)
         began, first = time.monotonic(), None
         with (self.folder / f"{name.replace(' ', '-')}.log").open("w+") as said:

@@ -104,7 +104,7 @@ def run_training(config: TrainConfig, progress: Progress | None = None) -> Train
 
 
 def number_of_gpus(device: str) -> int:
-    """Return the number of GPUs that a run with `run.device` would use. Raise UserError if it lacks the one it needs."""
+    """Return the number of GPUs that a run with `run.device` uses. Raise UserError if it lacks the one it needs."""
     num_gpus = count_gpus()
     with user_errors(PlacementError):
         return num_gpus if resolve_device(device, num_gpus=num_gpus) == "gpu" else 0
