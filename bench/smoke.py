@@ -123,7 +123,7 @@ class Smoke:
         return record
 
     def _command(self, name: str, arguments: list[str], num_rows: int | None = None) -> dict[str, Any]:
-        """Return the record of a command, with the time of the first row of metrics after `num_rows`, if it is a number."""
+        """Return the record of a command, with the time of the first row of metrics after `num_rows`, if given."""
         command = command_of("kinetix_dist.cli.main", *arguments)
         began, first = time.monotonic(), None
         with (self.folder / f"{name.replace(' ', '-')}.log").open("w+") as said:
