@@ -1,8 +1,8 @@
 """Held-out solve rates of several runs: curves over an axis, random actions, and a table of runs.
 
-    evaluations(run) --rate_curve--> metric "evaluation/<set>/solve_rate" over env steps, updates, seconds or the date
-                     --run_rows----> random, before, now and best of each set; gains with intervals
-                     --baselines---> random actions, over the runs that play the same levels in the same environment
+evaluations(run) --rate_curve--> metric "evaluation/<set>/solve_rate" over env steps, updates, seconds or the date
+                 --run_rows----> random, before, now and best of each set; gains with intervals
+                 --baselines---> random actions, over the runs that play the same levels in the same environment
 """
 
 from __future__ import annotations
@@ -185,9 +185,7 @@ def _gain(
     return found._asdict()
 
 
-def baselines(
-    sets: Mapping[str, Mapping[str, Any]], configs: Mapping[str, Mapping[str, Any]]
-) -> list[dict[str, Any]]:
+def baselines(sets: Mapping[str, Mapping[str, Any]], configs: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Random actions {runs, rate, low, high, solved, episodes} on one evaluation set of several runs.
 
     sets: {run: entry of `evaluations.evaluations`}. Runs with the same levels and the same `env` of their configs are

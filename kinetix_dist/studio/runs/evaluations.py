@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from kinetix_dist.studio.runs import run_files
-from kinetix_dist.studio.runs.run_files import damaged_lines, last_row, member, read_object
 from kinetix_dist.evaluation.intervals import interval_over_levels, wilson_interval
 from kinetix_dist.level.level_data import base_levels
+from kinetix_dist.studio.runs import run_files
+from kinetix_dist.studio.runs.run_files import damaged_lines, last_row, member, read_object
 from kinetix_dist.telemetry.json_lines import read_lines
 
 LAST_BYTES = 1 << 20  # in which the last line is looked for; a set of 2,048 levels has 50 kB
@@ -38,7 +38,9 @@ def evaluations(path: Path) -> dict[str, Any]:
         problems.append(damaged_lines(len(lines.damaged), file.name))
     if not lines.rows:
         return {"sets": _sets_without_levels(path), "without_levels": True, "problems": problems}
-    newest = {(row["phase"], row["update"]): row for row in lines.rows}  # an evaluation that was repeated after a kill counts once
+    newest = {
+        (row["phase"], row["update"]): row for row in lines.rows
+    }  # an evaluation that was repeated after a kill counts once
     rows = sorted(newest.values(), key=lambda row: (PHASES.index(row["phase"]), row["update"]))
     sets: dict[str, dict[str, Any]] = {}
     for row in rows:

@@ -57,7 +57,9 @@ def next_probe(config: Mapping[str, Any], refreshes: Sequence[int], *, is_over: 
     refreshes: numbers of those that are there, oldest first; one or more.
     """
     if not config:
-        return "It has no config.json that can be read, so that it is not known whether the next refresh plays it again."
+        return (
+            "It has no config.json that can be read, so that it is not known whether the next refresh plays it again."
+        )
     levels, every = _value(config, "curriculum_log", "probe_levels"), _value(config, "curriculum_log", "probe_every")
     if not levels:
         return "Not measured: curriculum_log.probe_levels is 0, so that no refresh plays levels again."
@@ -68,7 +70,10 @@ def next_probe(config: Mapping[str, Any], refreshes: Sequence[int], *, is_over: 
     step = _value(config, "curriculum", "refresh_every")
     if step is None:
         return "Not known yet: the next refresh plays this buffer again."
-    return f"Not known yet: refresh {refreshes[-1] + step} plays buffer {refreshes[-1]} again (curriculum.refresh_every {step})."
+    return (
+        f"Not known yet: refresh {refreshes[-1] + step} plays buffer {refreshes[-1]} again "
+        f"(curriculum.refresh_every {step})."
+    )
 
 
 def _expectation(noun: str, expected: int, reason: str, update: int | None) -> str:
@@ -76,8 +81,8 @@ def _expectation(noun: str, expected: int, reason: str, update: int | None) -> s
     if done <= expected:
         return f"First {noun} expected after update {expected} ({reason}); the run is at update {done}."
     return (
-        f"First {noun} expected after update {expected} ({reason}), but the run is at update {done}: a disk did not take "
-        "the file (event sink_failing), it was removed, or the version of this run writes none."
+        f"First {noun} expected after update {expected} ({reason}), but the run is at update {done}: a disk did not "
+        "take the file (event sink_failing), it was removed, or the version of this run writes none."
     )
 
 

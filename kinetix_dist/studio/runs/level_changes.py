@@ -1,6 +1,6 @@
 """Changes of each evaluated level: newest evaluation against the last, the first and the best before it.
 
-    evaluations.jsonl --evaluations()--> points of sets --with_changes()--> + changes of levels, intervals of counts
+evaluations.jsonl --evaluations()--> points of sets --with_changes()--> + changes of levels, intervals of counts
 """
 
 from __future__ import annotations

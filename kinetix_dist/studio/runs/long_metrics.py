@@ -122,7 +122,7 @@ def _whole_lines(file: IO[bytes], offset: int) -> bytes:
 
 
 def _columns(piece: bytes) -> dict[str, np.ndarray] | None:
-    """Columns [rows] float64 by name, nan where a row has no number; None where Arrow does not read every line as a row."""
+    """Columns [rows] float64 by name, nan where a row has no number; None if Arrow reads a line as no row."""
     import pyarrow as pa
     import pyarrow.json
 

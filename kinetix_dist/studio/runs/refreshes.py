@@ -3,14 +3,14 @@
     curriculum/refresh_*.npz, buffer_*.npz --Refreshes--> one summary per file, cached until it changes
     curriculum/outcomes.jsonl --Tail------> windows, --training_plays--> plays of each level while its buffer was in use
 
-The curator **claims** the plug-in learnability of the few episodes by which it chose a level. Since levels are chosen by
-their largest values, these are too high. Training plays other episodes: its estimate is unbiased for levels played
+The curator **claims** the plug-in learnability of the few episodes by which it chose a level. Since levels are chosen
+by their largest values, these are too high. Training plays other episodes: its estimate is unbiased for levels played
 twice or more often (`evaluation/learnability.py`).
 
 Training counts attempts, the first episode of each world in an update: independent, each solved with the chance p of
 its level. Episodes that scored a level are all that one world finished: solved / finished has the mean p for one level,
-but not for the sums of many levels, since levels of short episodes count more often. So rates of scored levels are means
-over levels.
+but not for the sums of many levels, since levels of short episodes count more often. So rates of scored levels are
+means over levels.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
+from kinetix_dist.evaluation.intervals import wilson_interval
+from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
 from kinetix_dist.studio.runs import run_files
 from kinetix_dist.studio.runs.fresh_pairs import FIELD as FRESH_PAIRS
 from kinetix_dist.studio.runs.fresh_pairs import is_pairs, learnability_of_pairs
-from kinetix_dist.evaluation.intervals import wilson_interval
-from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
 from kinetix_dist.telemetry.curriculum_log import (
     BUFFER,
     KINDS,
@@ -208,7 +208,8 @@ def describe_training(plays: Plays) -> dict[str, Any]:
 def describe_probe(before: Snapshot, after: Snapshot) -> dict[str, Any] | None:
     """Learning of one refresh cycle: levels of `before`, played again by the policy that scored `after`.
 
-    A level counts once, also where it was played twice. None: `after` has no such plays. `moves`: [[p before, p after, levels]] with p as 0 never, 1 sometimes, 2 always.
+    A level counts once, also where it was played twice. None: `after` has no such plays. `moves`: [[p before, p after,
+    levels]] with p as 0 never, 1 sometimes, 2 always.
     """
     if "probe/index" not in after.arrays:
         return None
@@ -245,7 +246,7 @@ class Refreshes:
         self._rows: list[dict[str, Any]] = []  # of outcomes, as far as it was read
 
     def read(self) -> tuple[list[Snapshot], list[dict[str, Any]], list[str]]:
-        """Reads all snapshots without levels, oldest first, the windows of outcomes, and a line for each damaged file."""
+        """Read all snapshots without levels, oldest first, the windows of outcomes, and a line per damaged file."""
         with self._lock:
             problems: list[str] = []
             return self._snapshots(problems), self._windows(problems), problems

@@ -13,10 +13,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.studio.runs import run_files
 from kinetix_dist.studio.runs.evaluations import newest_rates
 from kinetix_dist.studio.runs.run_files import RunFileError, last_row, read_object
-from kinetix_dist.errors import UserError, one_line
+from kinetix_dist.telemetry.json_lines import utc_seconds
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 from kinetix_dist.telemetry.status import (
     FAILED,
@@ -29,7 +30,6 @@ from kinetix_dist.telemetry.status import (
     judged,
     read_status,
 )
-from kinetix_dist.telemetry.json_lines import utc_seconds
 
 DEPTH = 2  # levels of directories below a path in which runs are looked for
 MAX_RUNS = 5000
@@ -123,7 +123,7 @@ class RunIndex:
 
 
 def summary(run_id: str, path: Path) -> dict[str, Any]:
-    """Row of the table of runs, from small files. `problems`: a line for each file that cannot be read or is damaged."""
+    """Row of the table of runs, from small files. `problems`: a line for each unreadable or damaged file."""
     problems: list[str | None] = []
 
     def read(of_run: Callable[[Path], dict[str, Any]]) -> dict[str, Any]:

@@ -18,9 +18,9 @@ import numpy as np
 from kinetix_dist.studio.runs import run_files
 from kinetix_dist.studio.runs.long_metrics import LONG_BYTES, read_long
 from kinetix_dist.studio.runs.series import SeriesTable
+from kinetix_dist.telemetry.json_lines import utc_seconds
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 from kinetix_dist.telemetry.tail import Tail
-from kinetix_dist.telemetry.json_lines import utc_seconds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +51,7 @@ class RunReader:
         self._events = Tail(path / run_files.EVENTS, is_row=run_files.is_event)
 
     def read_first(self, report: Callable[[int], None]) -> None:
-        """Reads all existing files; report(bytes) receives how many are left. Nothing else may use the reader meanwhile.
+        """Read all existing files; report(bytes) receives how many are left. Nothing else may use the reader meanwhile.
 
         A long file is read by a process of its own; where that fails, in this one, which takes three times as long.
         """

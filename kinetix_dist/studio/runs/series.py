@@ -125,8 +125,8 @@ class Curve:
 def decimate(x: np.ndarray, y: np.ndarray, *, points: int) -> Curve:
     """Merges neighbouring rows, as many for each point. x, y: [n], x rising; nan does not count.
 
-    x of a point is that of its last row, so that a curve ends where the data ends. Nothing is merged where n is `points`
-    or less. Raises ValueError for points below 1.
+    x of a point is that of its last row, so that a curve ends where the data ends. Nothing is merged if n is at
+    most `points`. Raises ValueError for points below 1.
     """
     if points < 1:
         raise ValueError(f"points is {points}; it must be 1 or more")

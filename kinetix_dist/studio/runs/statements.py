@@ -1,4 +1,4 @@
-"""Statement of a verdict: what was judged, how, in one sentence with its numbers, and the page that shows the evidence."""
+"""Statement of a verdict: its subject, its state, one sentence with the numbers, and the page with the evidence."""
 
 from __future__ import annotations
 

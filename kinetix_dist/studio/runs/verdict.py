@@ -19,7 +19,6 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from kinetix_dist.studio.runs import run_files
 from kinetix_dist.studio.runs.evaluations import evaluations
 from kinetix_dist.studio.runs.first_buffer import WITHOUT_BUFFER, first_buffer
 from kinetix_dist.studio.runs.processes import Processes
@@ -68,7 +67,17 @@ STATES = {
 }
 MAX_NAMED = 2  # sets, in the heading
 SNAPSHOTS = 32  # the newest, so that a long run takes no longer
-ARRAYS = ("level_id", "features", "feature_names", "solved", "finished", "curriculum", "candidates/features", "candidates/solved", "candidates/finished")  # fmt: skip
+ARRAYS = (
+    "level_id",
+    "features",
+    "feature_names",
+    "solved",
+    "finished",
+    "curriculum",
+    "candidates/features",
+    "candidates/solved",
+    "candidates/finished",
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -207,7 +216,10 @@ def _no_buffer(
             solved, attempts = sources.get(source, (0, 0))
             sources[source] = (solved + counts["solved"], attempts + counts["attempts"])
     rates = [f"{source} {100 * s / n:.1f} % ({s:,} of {n:,})" for source, (s, n) in sources.items() if n]
-    text = f"Curriculum {name} claims no solve rates and logs no candidates, so that there is nothing to hold against training."
+    text = (
+        f"Curriculum {name} claims no solve rates and logs no candidates, so that there is nothing to hold against "
+        "training."
+    )
     return f"{text} Solved in training: {', '.join(rates)}." if rates else text
 
 

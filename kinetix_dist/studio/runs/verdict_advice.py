@@ -40,7 +40,7 @@ SMALL_KL = 0.005  # nat, mean of the last rows: updates hardly move the policy
 LARGE_UPDATES = ("learner/approx_kl", "learner/clip_fraction")  # metrics whose warnings say so
 FALLEN = 0.8  # of the learnability of an earlier buffer, below which more candidates are suggested
 EVALUATE_EVERY = 20  # updates, suggested where no evaluation comes during training
-# Metric whose warning names a bottleneck: setting that is doubled, and whether a run can go on with another value of it.
+# Metric whose warning names a bottleneck: the setting to double, and whether a run can resume with another value of it.
 BOTTLENECKS = {
     "time/idle": ("rollout.num_envs", False),
     "time/curate": ("curriculum.refresh_every", False),
@@ -149,7 +149,11 @@ def _after_a_collapse(evidence: Evidence) -> NextStep:
     page, panel = stability.link
     link: dict[str, Any] = {"page": page, "query": {"panel": panel}}
     checkpoint = _checkpoint_before(evidence)
-    begin = "begin a new run" if checkpoint is None else f"begin a new run from the checkpoint of update {int(checkpoint.name):,}"
+    begin = (
+        "begin a new run"
+        if checkpoint is None
+        else f"begin a new run from the checkpoint of update {int(checkpoint.name):,}"
+    )
     if stability.causes:
         return NextStep(sentence=f"{begin}, without what changed as it fell: {stability.causes[0]}", **link)
     largest = evidence.table.known("learner/approx_kl").max(initial=0.0)
@@ -204,8 +208,8 @@ def _after_a_loss(evidence: Evidence) -> NextStep:
     trend = evidence.trend
     if large is None and trend is not None and trend.source != ALL_LEVELS and is_above(trend.since_first):
         sentence = (
-            f"train on levels nearer to {lost.name} (curriculum.generator, see kinetix-dist train --help): {trend.source} "
-            f"in training are learned ({points(trend.since_first)}), at the cost of this set"
+            f"train on levels nearer to {lost.name} (curriculum.generator, see kinetix-dist train --help): "
+            f"{trend.source} in training are learned ({points(trend.since_first)}), at the cost of this set"
         )
         return NextStep(sentence=sentence, **link)
     why = f"{lost.name} fell, and nothing rose" if large is None else f"{large.rule.metric} {large.finding}"
@@ -272,7 +276,9 @@ def _not_shown(evidence: Evidence) -> NextStep:
         return going_on
     share = _share_done(evidence)
     if not evidence.status.is_over and share is not None and share < 0.5:
-        return NextStep(sentence=f"let it train: {percent(share)} of its env steps are done", query={"panel": "Evaluation"})
+        return NextStep(
+            sentence=f"let it train: {percent(share)} of its env steps are done", query={"panel": "Evaluation"}
+        )
     kl = evidence.table.known("learner/approx_kl")[-RECENT_ROWS:]
     if len(kl) and kl.mean() < SMALL_KL:
         return NextStep(
@@ -288,8 +294,8 @@ def _not_shown(evidence: Evidence) -> NextStep:
     attempts = evidence.value("evaluation.attempts")
     if attempts and high > 0:
         return NextStep(
-            sentence=f"evaluate with more attempts, {evidence.scaled('evaluation.attempts', 4)}: {name} may have gained "
-            f"up to {100 * high:.1f} points, which so few cannot show",
+            sentence=f"evaluate with more attempts, {evidence.scaled('evaluation.attempts', 4)}: {name} may have "
+            f"gained up to {100 * high:.1f} points, which so few cannot show",
             command=evidence.resumed("--evaluation.attempts", f"{4 * attempts}"),
             page="evaluation",
             query={"set": name},
@@ -311,7 +317,9 @@ def _further(evidence: Evidence) -> NextStep:
     if evidence.trend is None or evidence.trend.late is None:
         sentence = "train for longer: it is too short to say whether it has levelled off"
         return NextStep(sentence=sentence, command=evidence.resumed_for_longer(), query={"panel": "Evaluation"})
-    sentence = "it levelled off: look at what still fails; the page Evaluation hands the command that trains on these levels"
+    sentence = (
+        "it levelled off: look at what still fails; the page Evaluation hands the command that trains on these levels"
+    )
     return NextStep(sentence=sentence, **_failing(evidence))
 
 

@@ -1,6 +1,6 @@
-"""Failing of a verdict: levels that are solved in no attempt now, and the group of levels that fails most beyond the rest.
+"""Failing of a verdict: levels that no attempt solves, and the group of levels that fails most beyond the rest.
 
-    counts of evaluations.jsonl + features of the levels --failure_groups--> groups of each set --failing_statement--> line
+    counts of evaluations.jsonl + features of levels --failure_groups--> groups of each set --failing_statement--> line
 
 Features come from the engine, which builds a set again; where they are not known, families are grouped alone: they
 follow from the names of the levels.

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from kinetix_dist.evaluation.intervals import Z_95, Estimate, difference_interval
+from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
 from kinetix_dist.studio.runs.fresh_pairs import learnability_of_pairs
 from kinetix_dist.studio.runs.refreshes import CHOOSES_WHILE_SCORING, Plays, training_plays, windows_of
 from kinetix_dist.studio.runs.series import SeriesTable
 from kinetix_dist.studio.runs.statements import BAD, GOOD, NEUTRAL, UNKNOWN, Statement, counted, is_above, is_below
-from kinetix_dist.evaluation.intervals import Z_95, Estimate, difference_interval
-from kinetix_dist.evaluation.learnability import mean_and_error, plug_in_learnability, unbiased_learnability
-from kinetix_dist.telemetry.curriculum_log import REFRESH, Snapshot
+from kinetix_dist.telemetry.curriculum_log import Snapshot
 
 MIN_LEVELS = 32  # played twice or more, or half of the buffer: below that nothing is said of it
 MISLABELLED = 0.6  # measured / claimed, upper end: the buffer is not what it claims
@@ -161,8 +161,8 @@ def claim_statement(found: Learnability) -> Statement:
 
     limits = f"{100 * MISLABELLED:.0f} % of the claim", f"{100 * INFLATED:.0f} % of the claim"
     claim = (
-        f"buffer {found.number} claims p (1 - p) {found.claimed:.3f} by {found.episodes_per_level:.1f} scoring episodes "
-        f"per level"
+        f"buffer {found.number} claims p (1 - p) {found.claimed:.3f} by {found.episodes_per_level:.1f} scoring "
+        f"episodes per level"
     )
     if found.first is None:
         return statement(
@@ -176,8 +176,8 @@ def claim_statement(found: Learnability) -> Statement:
     if (high - low) / 2 > UNSURE * found.claimed:
         return statement(
             UNKNOWN,
-            f"{claim.capitalize()}; {measured}, too few plays to tell: the interval may reach {100 * UNSURE:.0f} % of the "
-            "claim to each side.",
+            f"{claim.capitalize()}; {measured}, too few plays to tell: the interval may reach {100 * UNSURE:.0f} % of "
+            "the claim to each side.",
         )
     missing = max(1 - value / found.claimed, 0.0)
     sentence = f"{claim}; {measured}, {100 * missing:.0f} % less" if missing else f"{claim}; {measured}, not less"
@@ -188,19 +188,19 @@ def claim_statement(found: Learnability) -> Statement:
         )
         return statement(
             BAD,
-            f"Mislabelled: {sentence}; the whole interval is below {limits[0]}. So few episodes choose levels by chance.",
+            f"Mislabelled: {sentence}; the whole interval is below {limits[0]}. So few episodes choose levels by "
+            "chance.",
             remedy,
         )
     if high < INFLATED * found.claimed:
         remedy = "more scoring episodes (curriculum.scoring_steps) bring claims nearer to the truth"
         return statement(
             NEUTRAL,
-            f"Inflated by selection: {sentence}; the interval ends below {limits[1]}, yet not below {100 * MISLABELLED:.0f} % of it.",
+            f"Inflated by selection: {sentence}; the interval ends below {limits[1]}, yet not below "
+            f"{100 * MISLABELLED:.0f} % of it.",
             remedy,
         )
-    return statement(
-        GOOD, f"{sentence[0].upper()}{sentence[1:]}: labels hold, since the interval reaches {limits[1]}."
-    )
+    return statement(GOOD, f"{sentence[0].upper()}{sentence[1:]}: labels hold, since the interval reaches {limits[1]}.")
 
 
 def no_buffer_statement(windows: Sequence[Mapping[str, Any]], sentence: str) -> Statement:
@@ -240,7 +240,10 @@ def learnability_statement(found: Learnability) -> Statement:
     if found.measured is None:
         return statement(UNKNOWN, f"Buffer {found.number}: not played enough in training yet; {rest}")
     plays = f", {found.num_played_twice:,} levels played twice or more, {counted(found.attempts, 'attempt')}"
-    sentence = f"Buffer {found.number} in training {_interval(found.measured)}{plays if found.attempts else ''}; {rest}{_since(found)}"
+    sentence = (
+        f"Buffer {found.number} in training {_interval(found.measured)}{plays if found.attempts else ''}; "
+        f"{rest}{_since(found)}"
+    )
     control = found.control
     if control is None:
         return statement(NEUTRAL, f"{sentence} So there is nothing to compare it with.")

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from kinetix_dist.evaluation.intervals import Estimate, difference_interval, wilson_interval, z_95
+from kinetix_dist.evaluation.paired_levels import difference_over_levels
 from kinetix_dist.studio.runs.refreshes import CHOOSES_WHILE_SCORING, Plays, training_plays, windows_of
 from kinetix_dist.studio.runs.statements import (
     GOOD,
@@ -25,8 +27,6 @@ from kinetix_dist.studio.runs.statements import (
     percent,
     rate_with_count,
 )
-from kinetix_dist.evaluation.intervals import Estimate, difference_interval, wilson_interval, z_95
-from kinetix_dist.evaluation.paired_levels import difference_over_levels
 from kinetix_dist.telemetry.curriculum_log import Snapshot
 
 MIN_EPISODES = 3  # of a level that is called solved always
@@ -186,8 +186,9 @@ def untouched_statement(refreshes: Sequence[Snapshot]) -> Statement:
         sentence = f"No candidate of refresh {newest.number} finished an episode."
         return Statement(key="untouched", title=title, state=UNKNOWN, sentence=sentence, page="curriculum", query=query)
     sentence = (
-        f"Of the candidates of refresh {newest.number}, {rate_with_count(never, num, *wilson_interval(never, num))} were "
-        f"solved in none of their {finished[finished > 0].mean():.1f} episodes; the buffer holds {chosen} of these."
+        f"Of the candidates of refresh {newest.number}, {rate_with_count(never, num, *wilson_interval(never, num))} "
+        f"were solved in none of their {finished[finished > 0].mean():.1f} episodes; the buffer holds {chosen} of "
+        "these."
     )
     features = _untouched_features(refreshes)
     buffers = f"the newest {counted(len(refreshes), 'buffer')}" if len(refreshes) > 1 else "the buffer"

@@ -15,6 +15,16 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from kinetix_dist.evaluation.intervals import (
+    Estimate,
+    difference_interval,
+    for_readers,
+    t_95,
+    wilson_interval,
+    z_95,
+)
+from kinetix_dist.evaluation.paired_levels import difference_over_levels
+from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.studio.runs.evaluations import PHASES
 from kinetix_dist.studio.runs.statements import (
     BAD,
@@ -29,16 +39,6 @@ from kinetix_dist.studio.runs.statements import (
     percent,
     points,
 )
-from kinetix_dist.evaluation.intervals import (
-    Estimate,
-    difference_interval,
-    for_readers,
-    t_95,
-    wilson_interval,
-    z_95,
-)
-from kinetix_dist.evaluation.paired_levels import difference_over_levels
-from kinetix_dist.level.level_data import base_levels
 
 Point = Mapping[str, Any]  # of `evaluations.evaluations`
 RANDOM = PHASES[0]

@@ -24,9 +24,7 @@ TIMES = {
 }
 
 
-def speed_statement(
-    table: SeriesTable, processes: Mapping[str, Any] | None, warnings: Sequence[Warned]
-) -> Statement:
+def speed_statement(table: SeriesTable, processes: Mapping[str, Any] | None, warnings: Sequence[Warned]) -> Statement:
     """Env steps per second of the last rows, the largest share of their time, and the process that waits most.
 
     processes: `processes.Processes.describe`; warnings: `warnings.warnings_of`.

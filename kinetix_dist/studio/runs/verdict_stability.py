@@ -108,8 +108,10 @@ def _changes(events: Sequence[Mapping[str, Any]], since: int, until: int) -> lis
         f"phase {event['phase']} began at update {event['update']:,} and set "
         + ", ".join(f"{name} {value}" for name, value in event["changed"].items())
         for event in events
-        if event.get("event") == "phase_began" and isinstance(event.get("changed"), dict)
-        and isinstance(event.get("update"), int) and since <= event["update"] <= until
+        if event.get("event") == "phase_began"
+        and isinstance(event.get("changed"), dict)
+        and isinstance(event.get("update"), int)
+        and since <= event["update"] <= until
     ]
 
 
@@ -117,7 +119,9 @@ def _checkpoint_before(events: Sequence[Mapping[str, Any]], update: int) -> str:
     saved = [
         event["update"]
         for event in events
-        if event.get("event") == "checkpoint_saved" and isinstance(event.get("update"), int) and event["update"] <= update
+        if event.get("event") == "checkpoint_saved"
+        and isinstance(event.get("update"), int)
+        and event["update"] <= update
     ]
     if not saved:
         return f"begin again: no checkpoint is older than update {update:,}"

@@ -1,9 +1,9 @@
 """Trend of a verdict: solve rates of training over time, of levels that no curriculum chooses.
 
 Solve rates in training are of the fresh levels, an unbiased sample of the generator: those of a buffer fall with every
-refresh. Windows are joined into CHUNKS parts of equal count. The last part is compared with the first and with the best,
-and a line through the last half of the parts says whether the rate still rises. What came before the phase of now is
-left out, since another phase has other levels.
+refresh. Windows are joined into CHUNKS parts of equal count. The last part is compared with the first and with the
+best, and a line through the last half of the parts says whether the rate still rises. Parts before the
+current phase are left out, since another phase has other levels.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from kinetix_dist.evaluation.intervals import Z_95, Estimate, difference_interval, wilson_interval, z_95
 from kinetix_dist.studio.runs.series import SeriesTable
 from kinetix_dist.studio.runs.statements import (
     BAD,
@@ -29,7 +30,6 @@ from kinetix_dist.studio.runs.statements import (
     points,
     rate_with_count,
 )
-from kinetix_dist.evaluation.intervals import Z_95, Estimate, difference_interval, wilson_interval, z_95
 
 CHUNKS = 10
 MIN_ATTEMPTS = 100  # of a part that is compared
@@ -98,8 +98,8 @@ def _estimate(part: Part) -> Estimate:
 
 
 def _change_of_line(parts: Sequence[Part]) -> Estimate:
-    """Rise of a line from the middle of the first part to that of the last one: weighted least squares, by the errors of
-    the parts, which are independent."""
+    """Rise of a line from the middle of the first part to that of the last one: weighted least squares, by the errors
+    of the parts, which are independent."""
     x = np.array([part.first_update + part.last_update for part in parts]) / 2
     rates, weights = np.array([part.rate for part in parts]), np.array([part.error for part in parts]) ** -2.0
     centred = x - np.average(x, weights=weights)
@@ -202,7 +202,10 @@ def _trend_of_rows(table: SeriesTable, start: int) -> Trend | None:
 def trend_statement(trend: Trend | None) -> Statement:
     title = "Solve rate in training"
     if trend is None:
-        sentence = f"Needs two parts of {MIN_ATTEMPTS} attempts at fresh levels (curriculum/outcomes.jsonl); they are not there (yet)."
+        sentence = (
+            f"Needs two parts of {MIN_ATTEMPTS} attempts at fresh levels (curriculum/outcomes.jsonl); they are not "
+            "there (yet)."
+        )
         return Statement(key="training", title=title, state=UNKNOWN, sentence=sentence, page="curriculum")
     first, best, last, difference = trend.parts[0], trend.best, trend.parts[-1], trend.since_first
     source = f"{trend.source[0].upper()}{trend.source[1:]}"

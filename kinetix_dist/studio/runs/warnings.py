@@ -48,7 +48,9 @@ def _recent(table: SeriesTable, name: str) -> np.ndarray:
 def _mean_above(name: str, limit: float) -> Rule:
     def check(table: SeriesTable) -> str | None:
         values = _recent(table, name)
-        return f"{values.mean():.3g} in the last {_rows(len(values))}" if len(values) and values.mean() > limit else None
+        return (
+            f"{values.mean():.3g} in the last {_rows(len(values))}" if len(values) and values.mean() > limit else None
+        )
 
     return Rule(name, f"mean of {RECENT_ROWS} rows above {limit:g}", check)
 
@@ -56,7 +58,9 @@ def _mean_above(name: str, limit: float) -> Rule:
 def _mean_below(name: str, limit: float) -> Rule:
     def check(table: SeriesTable) -> str | None:
         values = _recent(table, name)
-        return f"{values.mean():.3g} in the last {_rows(len(values))}" if len(values) and values.mean() < limit else None
+        return (
+            f"{values.mean():.3g} in the last {_rows(len(values))}" if len(values) and values.mean() < limit else None
+        )
 
     return Rule(name, f"mean of {RECENT_ROWS} rows below {limit:g}", check)
 
