@@ -33,7 +33,7 @@ import numpy as np
 from bench.program import exit_code, output_file, parser_of
 from kinetix_dist import prng
 from kinetix_dist.checkpoint import list_checkpoints, select_arrays, unflatten_arrays
-from kinetix_dist.config import TrainConfig
+from kinetix_dist.config import TrainConfig, from_dict_as_recipe
 from kinetix_dist.curator.slice_buffer import IN_USE, recent
 from kinetix_dist.errors import UserError
 from kinetix_dist.evaluation.evaluate import evaluate
@@ -72,7 +72,7 @@ def with_interval(rate: dict[str, Any]) -> str:
 
 def solved_of(trained: Trained, levels: Level, attempts: int) -> np.ndarray:
     """[n] int64, how many of so many attempts at each level the policy of a checkpoint solves."""
-    env = make_environment(trained.config)
+    env = make_environment(config_of(trained))
     module, params = load_policy(trained.checkpoint, trained.config.policy, env, levels)
     player = Player(NetworkPolicy(module, env.action_distribution), jax.device_put(params))
     rates = evaluate(env, player, levels, attempts=attempts, key=prng.key(0))
@@ -83,7 +83,7 @@ def measured(run: Path, attempts: int) -> dict[str, Any]:
     """{update, levels, claimed, window, attempts, measured, measured_rate} of the newest checkpoint's buffer; window
     and measured are pairs of `mean_of`, window None where the curriculum has no such counts."""
     trained, _ = newest_checkpoint_of(run)
-    config, arrays = trained.config, select_arrays(trained.checkpoint.arrays, CURRICULUM)
+    config, arrays = config_of(trained), select_arrays(trained.checkpoint.arrays, CURRICULUM)
     if "num_solved" not in arrays:
         raise UserError(f"{trained.checkpoint.path} has no buffer of scored levels; give a run of sfl or sfl_slices")
     num_levels = len(arrays["num_solved"])
@@ -120,7 +120,7 @@ def by_their_own_policy(run: Path, attempts: int) -> list[dict[str, Any]]:
         num_levels = len(arrays["solved"])
         counts = (arrays[name].astype(np.int64) for name in ("solved", "finished"))
         chosen_solved, chosen_finished = counts
-        solved = solved_of(trained, levels_of(trained.config, snapshot.levels, num_levels), attempts)
+        solved = solved_of(trained, levels_of(config_of(trained), snapshot.levels, num_levels), attempts)
         found.append(
             {
                 "refresh": number,
@@ -133,6 +133,11 @@ def by_their_own_policy(run: Path, attempts: int) -> list[dict[str, Any]]:
             }
         )
     return found
+
+
+def config_of(trained: Trained) -> TrainConfig:
+    """Return all settings of the run that a checkpoint belongs to."""
+    return from_dict_as_recipe(trained.checkpoint.description["config"])
 
 
 def levels_of(config: TrainConfig, arrays: Mapping[str, np.ndarray], num_levels: int) -> Level:

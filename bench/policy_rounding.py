@@ -40,7 +40,7 @@ from jax.sharding import Mesh, PartitionSpec
 from bench.program import exit_code, output_file, parser_of, report_each
 from jax2d.scene import Array
 from kinetix_dist import prng
-from kinetix_dist.config import TrainConfig
+from kinetix_dist.config import TrainConfig, from_dict_as_recipe
 from kinetix_dist.curator.config import CurriculumConfig
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.load_policy import load_policy
@@ -63,7 +63,8 @@ NO_STEP = 1e-30  # a learning rate that changes no parameter
 
 def config_of(trained: Trained, arguments: argparse.Namespace) -> TrainConfig:
     """The recipe with the network of the checkpoint, on levels that need no curator."""
-    base = recipe(arguments.recipe) if arguments.recipe else trained.config
+    stored = trained.checkpoint.description["config"]
+    base = recipe(arguments.recipe) if arguments.recipe else from_dict_as_recipe(stored)
     rollout, ppo = base.rollout, base.ppo
     if arguments.envs:
         rollout = dataclasses.replace(rollout, num_envs=arguments.envs, num_groups=math.gcd(64, arguments.envs))

@@ -23,7 +23,7 @@ _COMPARED = ("kinetix_dist", "jax2d", "jax", "numpy", "warp")  # packages that c
 def command_of(target: str, *arguments: object) -> list[str]:
     """Command line that runs a module by name, or a script by its path ending in .py, with the import path of this
     process."""
-    path = json.dumps(import_path())
+    path = json.dumps(import_path(), allow_nan=False)
     return [sys.executable, "-P", str(Path(__file__).resolve()), path, target, *map(str, arguments)]
 
 

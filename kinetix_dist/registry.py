@@ -5,12 +5,16 @@ registered in the package that defines them, those of a user by a module that `r
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable, Iterator
+import os
+import sys
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Generic, TypeVar
 
 from kinetix_dist.near_names import did_you_mean
 
 T = TypeVar("T")
+TRUST_PLUGINS = "--trust-plugins"  # option of every command
+TRUST_VARIABLE = "KINETIX_DIST_TRUST_PLUGINS"  # environment variable that passes the option on to child processes
 
 
 class PluginError(ValueError):
@@ -56,3 +60,22 @@ def import_plugins(modules: Iterable[str]) -> None:
                 f"run.plugins: module {module!r} cannot be imported ({reason}); install it on every machine of the "
                 "run, or put its directory on PYTHONPATH"
             ) from error
+
+
+def import_stored_plugins(modules: Sequence[str]) -> tuple[str, ...]:
+    """Return the plugins that a file from outside names, imported if the user trusts them.
+
+    A module that this process has imported already needs no trust: the user chose it, and naming it runs no code.
+
+    Raises:
+        PluginError: A module is not imported, and the user has not given `--trust-plugins`.
+    """
+    missing = [name for name in modules if name not in sys.modules]
+    if missing and os.environ.get(TRUST_VARIABLE) != "1":
+        names = ", ".join(repr(name[:60]) for name in missing[:5])
+        raise PluginError(
+            f"it names plugins, modules whose code would run: {names}; give {TRUST_PLUGINS} if you trust them (in "
+            "Python: import them first)"
+        )
+    import_plugins(missing)
+    return tuple(modules)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -72,9 +72,29 @@ def check_settings(section: Any) -> None:
     for field in dataclasses.fields(section):
         name, value = f"{type(section).__name__}.{field.name}", getattr(section, field.name)
         _check_type(name, value, str(field.type))
+        check_finite(value, name)
         limits: Limits | None = field.metadata.get(_KEY)
         if limits is not None and not limits.allow(value):
             raise ConfigError(f"{name} is {value!r}; {limits}")
+
+
+def check_finite(section: Any, field: str = "") -> None:
+    """Raise ConfigError for a number of a dataclass, or of anything in it, that is not finite.
+
+    NaN passes a limit that is written as `value < 0`, so options and settings come through here first.
+    """
+    is_float = isinstance(section, numbers.Real) and not isinstance(section, numbers.Integral)
+    if is_float and not math.isfinite(section):
+        raise ConfigError(f"{field} is {section}; it must be a finite number")
+    items: Iterable[tuple[Any, Any]] = ()
+    if isinstance(section, tuple | list):
+        items = enumerate(section)
+    elif isinstance(section, Mapping):
+        items = section.items()
+    elif dataclasses.is_dataclass(section):
+        items = [(each.name, getattr(section, each.name)) for each in dataclasses.fields(section)]
+    for name, item in items:
+        check_finite(item, f"{field}.{name}".removeprefix("."))
 
 
 def _check_type(name: str, value: Any, kind: str) -> None:
@@ -89,7 +109,5 @@ def _check_type(name: str, value: Any, kind: str) -> None:
     if kind == "float":
         if not isinstance(value, numbers.Real) or isinstance(value, bool):
             raise ConfigError(f"{name} is {value!r}; it must be a number")
-        if not math.isfinite(value):
-            raise ConfigError(f"{name} is {value}; it must be a finite number")
     if kind == "bool" and not isinstance(value, bool):
         raise ConfigError(f"{name} is {value!r}; it must be True or False")

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.errors import UserError
 from kinetix_dist.evaluation.load_policy import released_arrays
 from kinetix_dist.evaluation.policies import Player
+from kinetix_dist.json_text import json_text
 from kinetix_dist.level.fingerprints import is_in_order
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.level import SIZES, Level
@@ -168,7 +168,7 @@ class StoredSpecialists:
         return {
             "name": self.path.name,
             "version": max(one["version"] for specialists in own.values() for one in specialists),
-            "sha256": hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest(),
+            "sha256": hashlib.sha256(json_text(own, sort_keys=True).encode()).hexdigest(),
             "min_rate": self.min_rate,
             "specialists": own,
         }

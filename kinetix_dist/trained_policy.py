@@ -8,7 +8,7 @@ from pathlib import Path
 from kinetix_dist.checkpoint import Checkpoint, CheckpointError, Rejected, load_checkpoint, newest_good
 from kinetix_dist.checkpoint.manifest import MANIFEST_NAME
 from kinetix_dist.checkpoint.store import DESCRIPTION_NAME
-from kinetix_dist.config import TrainConfig, from_dict_for_playing
+from kinetix_dist.config import StoredConfig, from_dict_for_playing
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.errors import UserError, user_errors
@@ -23,10 +23,10 @@ MAX_LISTINGS = 3  # of a run's checkpoints, where all that were listed are prune
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Trained:
-    """Verified checkpoint with the config that it was trained with."""
+    """Verified checkpoint with the settings by which its policy plays."""
 
     checkpoint: Checkpoint
-    config: TrainConfig
+    config: StoredConfig
 
     @property
     def num_updates(self) -> int:
@@ -43,7 +43,7 @@ class Trained:
         return Player(NetworkPolicy(module, env.action_distribution, greedy=greedy), params)
 
 
-def env_config_of(config: TrainConfig, size: str) -> EnvConfig:
+def env_config_of(config: StoredConfig, size: str) -> EnvConfig:
     """Environment of a run for levels of a size."""
     return dataclasses.replace(config.env, size=size)
 

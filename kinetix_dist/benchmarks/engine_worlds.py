@@ -9,7 +9,6 @@ many levels; or "sorted", the same worlds with those of one structure side by si
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -31,6 +30,7 @@ from jax2d.world_order import sorting, structure_of
 from kinetix_dist import prng
 from kinetix_dist.benchmarks.measuring import BenchmarkOptions
 from kinetix_dist.errors import UserError, user_errors
+from kinetix_dist.json_text import json_text
 from kinetix_dist.level.fit import fit_level
 from kinetix_dist.level.generator import GeneratorConfig, generate_level
 from kinetix_dist.level.kinetix_format import export_kinetix, load_kinetix
@@ -123,7 +123,7 @@ def _random_level_files(folder: Path, size: str, seed: int) -> list[Path]:
     for index in range(NUM_RANDOM_LEVELS):
         files.append(folder / f"{index:03}.json")
         document = export_kinetix(jax.tree.map(lambda x, i=index: np.asarray(x)[i], levels))
-        files[-1].write_text(json.dumps(document))
+        files[-1].write_text(json_text(document))
     return files
 
 

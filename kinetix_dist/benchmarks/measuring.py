@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import statistics
 import time
 from collections.abc import Callable, Iterable
@@ -13,6 +12,7 @@ from typing import Any
 import jax
 
 from kinetix_dist.errors import user_errors
+from kinetix_dist.json_text import json_text
 
 Record = dict[str, Any]
 
@@ -55,7 +55,7 @@ class Results:
 
     def save(self) -> None:
         if self.file is not None:
-            self.file.write_text(json.dumps(self.records, indent=1) + "\n")
+            self.file.write_text(json_text(self.records, indent=1) + "\n")
 
 
 def compute_clock(device: Any) -> Callable[[], float]:

@@ -20,6 +20,7 @@ from typing import Any, Self
 from kinetix_dist.benchmarks.engine_worlds import DRAWN
 from kinetix_dist.benchmarks.measuring import Record
 from kinetix_dist.errors import UserError
+from kinetix_dist.json_text import json_text
 
 
 class ProcessError(Exception):
@@ -67,7 +68,7 @@ class LineProcess:
         """Sends a request without waiting; `receive` takes the answer."""
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(json.dumps({"do": request, **(arguments or {})}) + "\n")
+            self._process.stdin.write(json_text({"do": request, **(arguments or {})}) + "\n")
             self._process.stdin.flush()
         except BrokenPipeError:
             return  # it ended: `receive` says so, with its last line

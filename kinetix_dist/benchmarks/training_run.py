@@ -19,6 +19,7 @@ from kinetix_dist.checkpoint import CheckpointError
 from kinetix_dist.child_python import command_of
 from kinetix_dist.config import TrainConfig, from_dict, to_dict
 from kinetix_dist.errors import UserError, one_line, user_errors
+from kinetix_dist.json_text import json_text
 from kinetix_dist.runtime import (
     PlacementError,
     RunDirectory,
@@ -138,7 +139,7 @@ def run_in_process(config: TrainConfig, environment: Mapping[str, str], *, timeo
     """Runs `config` in a new process; `environment` is added to this one's. Raises RunFailedError."""
     with tempfile.TemporaryDirectory(prefix="kinetix-bench-") as name:
         folder = Path(name)
-        (folder / CONFIG).write_text(json.dumps(to_dict(config)))
+        (folder / CONFIG).write_text(json_text(to_dict(config)))
         command = command_of(MODULE, folder)
         process = subprocess.Popen(
             command,
@@ -171,7 +172,7 @@ def main(folder: Path) -> int:
     except (UserError, RunFailedError) as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    (folder / RUN).write_text(json.dumps(dataclasses.asdict(run)))
+    (folder / RUN).write_text(json_text(dataclasses.asdict(run)))
     return 0
 
 

@@ -58,6 +58,21 @@ def unflatten_arrays(template: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     return jax.tree_util.tree_unflatten(structure, restored)
 
 
+TRAINED = frozenset(("learner", "params", "average", "optimizer"))  # in the path of an array that training makes
+
+
+def name_not_finite(arrays: Mapping[str, np.ndarray]) -> str | None:
+    """Return the name of a parameter, or of another array of a learner, that holds NaN or infinity; None: none does.
+
+    Arrays beside them may hold such numbers: scores of a curriculum do.
+    """
+    for name, array in arrays.items():
+        is_number = jnp.issubdtype(np.asarray(array).dtype, jnp.floating)
+        if is_number and not TRAINED.isdisjoint(name.split("/")) and not np.isfinite(array).all():
+            return name
+    return None
+
+
 def select_arrays(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
     """The arrays below `prefix/`, named without it."""
     return {name[len(prefix) + 1 :]: array for name, array in arrays.items() if name.startswith(prefix + "/")}

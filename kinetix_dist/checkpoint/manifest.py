@@ -10,6 +10,8 @@ import hashlib
 import json
 from pathlib import Path
 
+from kinetix_dist.json_text import json_text
+
 MANIFEST_NAME = "manifest.json"
 _CHUNK_BYTES = 1 << 20
 
@@ -20,7 +22,7 @@ def write_manifest(directory: Path) -> None:
         str(path.relative_to(directory)): {"sha256": _sha256(path), "bytes": path.stat().st_size}
         for path in _files(directory)
     }
-    (directory / MANIFEST_NAME).write_text(json.dumps({"files": files}, indent=1, sort_keys=True) + "\n")
+    (directory / MANIFEST_NAME).write_text(json_text({"files": files}, indent=1, sort_keys=True) + "\n")
 
 
 def manifest_fault(directory: Path) -> str | None:

@@ -17,7 +17,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
-import json
 import logging
 import os
 import re
@@ -30,9 +29,12 @@ from typing import Any
 
 import numpy as np
 
+from kinetix_dist.checkpoint.arrays import name_not_finite
 from kinetix_dist.checkpoint.manifest import MANIFEST_NAME, manifest_fault, write_manifest
 from kinetix_dist.installation import data_directory
+from kinetix_dist.json_text import json_text
 from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.text_files import read_json
 
 FORMAT = 1
 DESCRIPTION_NAME = "checkpoint.json"
@@ -75,6 +77,8 @@ def save_checkpoint(
     """
     if keep < 1:
         raise ValueError(f"keep is {keep}; at least 1 checkpoint must stay")
+    if name := name_not_finite(arrays):
+        raise CheckpointError(f"{name} is not finite: nothing could go on from it")
     directory.mkdir(parents=True, exist_ok=True)
     final = directory / f"{num_updates:0{_DIGITS}d}"
     draft = directory / f".saving-{final.name}-{os.getpid()}@{socket.gethostname()}"
@@ -84,7 +88,7 @@ def save_checkpoint(
         _check_space(draft, arrays)
         _save_arrays(draft / ARRAYS_NAME, arrays)
         content = {"format": FORMAT, "num_updates": num_updates, "num_arrays": len(arrays), **description}
-        (draft / DESCRIPTION_NAME).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
+        (draft / DESCRIPTION_NAME).write_text(json_text(content, indent=1, sort_keys=True) + "\n")
         write_manifest(draft)
         _sync(draft)
         if fault := manifest_fault(draft):
@@ -130,8 +134,10 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise CheckpointError(f"there is no checkpoint {path}; {hint}")
     if fault := _fault(path):
         raise CheckpointError(f"checkpoint {path} {fault}")
-    description = json.loads((path / DESCRIPTION_NAME).read_text())
-    return Checkpoint(path=path, arrays=_load_arrays(path / ARRAYS_NAME), description=description)
+    description, arrays = read_json(path / DESCRIPTION_NAME), _load_arrays(path / ARRAYS_NAME)
+    if name := name_not_finite(arrays):
+        raise CheckpointError(f"checkpoint {path}: {name} is not finite, so that no policy plays by it; give another")
+    return Checkpoint(path=path, arrays=arrays, description=description)
 
 
 def newest_good(directory: Path) -> tuple[Checkpoint | None, list[Rejected]]:
@@ -193,9 +199,12 @@ def _fault(path: Path) -> str | None:
     try:
         if fault := manifest_fault(path):
             return f"is damaged: {fault}"
-        found = json.loads((path / DESCRIPTION_NAME).read_text()).get("format")
-    except (OSError, ValueError, AttributeError) as error:
+        description = read_json(path / DESCRIPTION_NAME)
+    except (OSError, ValueError, RecursionError) as error:
         return f"cannot be read ({error})"
+    if not isinstance(description, dict) or type(description.get("num_updates")) is not int:
+        return f"cannot be read: its {DESCRIPTION_NAME} has no num_updates"
+    found = description.get("format")
     return None if found == FORMAT else f"has format {found!r}; this version reads format {FORMAT}"
 
 

@@ -85,7 +85,7 @@ def run(args: Args) -> int:
     if args.min_rate is not None and not has_specialists:
         raise UserError(f"--min-rate is of specialists, and --policy is {args.policy}; leave it out")
     trained = None if has_specialists else _trained(args.policy)
-    start_computing("" if trained is None else trained.config.run.compile_cache)
+    start_computing()
     with user_errors(DatasetError, ValueError):
         collection = _of_specialists(args) if has_specialists else _collection(args, trained)
     num_levels = len(collection.turns) or 1  # each has as many shards as any other

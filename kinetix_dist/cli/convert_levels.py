@@ -10,7 +10,6 @@ Of many files each one that is wrong is a line on stderr, the others are convert
 from __future__ import annotations
 
 import dataclasses
-import json
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -22,6 +21,7 @@ import tyro
 from kinetix_dist.cli.checks import check_output_file
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, one_line, user_errors
+from kinetix_dist.json_text import json_text
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
 
@@ -144,7 +144,7 @@ def _export_file(file: Path, out: Path, size: str | None) -> str:
         document = export_kinetix(fit_level(level, capacity_of_size(size)), info.public_walls)
     except ValueError as error:
         raise ValueError(f"{file}: {one_line(error)}") from error
-    out.write_text(json.dumps(document), encoding="utf-8")
+    out.write_text(json_text(document), encoding="utf-8")
     return size
 
 

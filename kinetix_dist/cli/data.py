@@ -9,7 +9,6 @@ docs/data.md has both formats.
 from __future__ import annotations
 
 import dataclasses
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -36,7 +35,7 @@ class ImportKinetix:
     """Directory of the data set: a new one, or one of the same command, which goes on."""
     first: int = 0
     """Number of the first trajectory, from 0 on."""
-    trajectories: float = math.inf
+    trajectories: float | None = None
     """Trajectories from there on, each of a level of its own; left out: all that follow."""
     shard_trajectories: int = 256
     """Trajectories of a shard."""
@@ -66,8 +65,8 @@ def run(args: Any) -> int:
 
 def _import(args: ImportKinetix) -> int:
     for name in ("trajectories", "shard_trajectories"):
-        if not getattr(args, name) >= 1:
-            raise UserError(f"--{name.replace('_', '-')} is {getattr(args, name):g}; it must be 1 or more")
+        if (value := getattr(args, name)) is not None and value < 1:
+            raise UserError(f"--{name.replace('_', '-')} is {value:g}; it must be 1 or more")
     from kinetix_dist.data import DatasetError
     from kinetix_dist.data.kinetix_import import choose, import_offline
     from kinetix_dist.data.kinetix_offline import KinetixOffline
@@ -77,7 +76,7 @@ def _import(args: ImportKinetix) -> int:
         source = KinetixOffline(args.source)
         if not 0 <= args.first < len(source):
             raise UserError(f"--first is {args.first}, and {args.source} has trajectories 0 to {len(source) - 1}")
-        stop = int(min(args.first + args.trajectories, len(source)))
+        stop = len(source) if args.trajectories is None else min(args.first + int(args.trajectories), len(source))
         chosen = choose(source, args.first, stop, args.observation)
     for line in chosen.left_out[:SHOWN]:
         say(f"left out {one_line(line)}", sys.stderr)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
-import json
 import os
 import platform
 import shutil
@@ -22,6 +21,7 @@ from typing import Any, Literal
 from kinetix_dist import user_directories
 from kinetix_dist.cli.doctor_probes import ProbeError, run_probe
 from kinetix_dist.installation import ENGINE, engine_complaint, engine_note
+from kinetix_dist.json_text import json_text
 
 PACKAGE = "kinetix-dist"
 MIN_PYTHON = (3, 11)
@@ -59,7 +59,7 @@ def run(args: Args) -> int:
     checks = list(diagnose(args))
     can_train = not any(check.status == "error" for check in checks)
     if args.json:
-        print(json.dumps({"can_train": can_train, "checks": [dataclasses.asdict(c) for c in checks]}, indent=2))
+        print(json_text({"can_train": can_train, "checks": [dataclasses.asdict(c) for c in checks]}, indent=2))
     else:
         print(_as_text(checks, can_train))
     return 0 if can_train else 1

@@ -16,6 +16,7 @@ from typing import Any
 from kinetix_dist.child_python import command_of
 from kinetix_dist.errors import one_line
 from kinetix_dist.installation import ENGINE
+from kinetix_dist.json_text import json_text
 
 MODULE = "kinetix_dist.cli.doctor_probes"
 TIMEOUT_S = 120.0  # a first start of CUDA on a large host takes tens of seconds
@@ -94,4 +95,4 @@ def probe_driver() -> dict[str, Any]:
 PROBES = {"jax": probe_jax, "ray": probe_ray, "driver": probe_driver}
 
 if __name__ == "__main__":
-    print(json.dumps(PROBES[sys.argv[1]]()))
+    print(json_text(PROBES[sys.argv[1]]()))

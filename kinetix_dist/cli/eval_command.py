@@ -16,7 +16,6 @@ With --search the policy also plans: `eval_search.py`, in rates of their own.
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -28,6 +27,7 @@ from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.cli.eval_search import DEFAULT_STARTS, check_search, search, searched_table, wants_search
 from kinetix_dist.cli.text_table import MAX_ROWS, aligned, rows_left_out
 from kinetix_dist.errors import UserError, user_errors
+from kinetix_dist.json_text import json_text
 
 if TYPE_CHECKING:
     from kinetix_dist.checkpoint import Checkpoint
@@ -92,7 +92,7 @@ def run(args: Args) -> int:
     from kinetix_dist.level.level_data import base_levels
     from kinetix_dist.level.sets import load_level_set
 
-    start_computing("" if trained is None else trained.config.run.compile_cache)
+    start_computing()
     with user_errors(ValueError, OSError):
         levels, names = load_level_set(args.levels, args.size)
     env = environment_of(args.preset, trained, levels)
@@ -125,7 +125,7 @@ def run(args: Args) -> int:
         if searched is not None:
             content["search"] = searched.to_dict(bases)
         with user_errors(OSError, prefix="the results cannot be written: "):
-            args.json.write_text(json.dumps(content, indent=2) + "\n")
+            args.json.write_text(json_text(content, indent=2) + "\n")
         print(f"results  {args.json}")
     if args.record is not None:
         num_recorded = _record(args, checkpoint, env, players[first], levels, list(names))

@@ -96,12 +96,15 @@ def _source(args: Generate) -> tuple[LevelGenerator, str, str]:
     if args.like is not None:
         return *_model(args, args.like), "like"
     if args.teacher is not None:
+        from kinetix_dist.config import curriculum_from_dict
         from kinetix_dist.curator.teacher import teacher_levels
         from kinetix_dist.trained_policy import newest_checkpoint_of
 
         trained, _ = newest_checkpoint_of(args.teacher)
-        size = trained.config.env.size
-        return teacher_levels(trained.checkpoint, trained.config.curriculum, capacity_of_size(size)), size, "taught"
+        size, checkpoint = trained.config.env.size, trained.checkpoint
+        with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path}: "):
+            curriculum = curriculum_from_dict(checkpoint.description["config"])
+        return teacher_levels(checkpoint, curriculum, capacity_of_size(size)), size, "taught"
     if args.body is not None:
         from kinetix_dist.level.goal_following import GoalFollowingLevels, size_for
 

@@ -8,7 +8,6 @@ kinetix-dist levels stats --size m --reference tests/level/data/published_levels
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +15,7 @@ from typing import Any, Literal
 from kinetix_dist import prng
 from kinetix_dist.cli.checks import check_output_file, check_seed
 from kinetix_dist.errors import UserError, user_errors
+from kinetix_dist.json_text import json_text
 from kinetix_dist.text_files import read_json
 
 _FAR = 4.5  # standard errors; 80 statistics exceed it by chance once in 1,500 reports
@@ -64,7 +64,7 @@ def run_stats(args: Stats) -> int:
     if args.json is not None:
         drawn = {"generator": args.generator, "levels": args.levels, "seed": args.seed}
         document = drawn | {"sizes": {args.size: describe(found)}}
-        args.json.write_text(json.dumps(document, indent=0) + "\n", encoding="utf-8")
+        args.json.write_text(json_text(document, indent=0) + "\n", encoding="utf-8")
     return 0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +16,7 @@ from kinetix_dist.cli.play_level import Play, run_play
 from kinetix_dist.cli.render_levels import Render, run_render
 from kinetix_dist.cli.solve_levels import Solve, run_solve
 from kinetix_dist.errors import UserError, one_line, user_errors
+from kinetix_dist.json_text import json_text
 
 _EXPECTED = (ValueError, OSError)  # LevelFormatError, LevelSizeError, missing and unreadable files
 
@@ -108,7 +108,7 @@ def _list(args: List) -> None:
     else:
         rows = [_row(path) for path in files_of_set(args.set)]
     if args.json:
-        print(json.dumps(rows, indent=2))
+        print(json_text(rows, indent=2))
         return
     columns = list(rows[0])
     widths = {key: max(len(key), *(len(str(row[key])) for row in rows)) for key in columns[:-1]}

@@ -9,6 +9,8 @@ and, only where the flags depend on what else is given (a recipe that sets defau
 `parse(argv) -> Args`, which calls `parsing.parse_args`. A module is imported when its command is called and not
 before, so `kinetix-dist doctor` still answers on a machine where ray, warp or jax cannot be imported.
 
+Every command takes `--trust-plugins`, with which plugins that a checkpoint names are imported.
+
 Exit status: 0 done, 1 the command ran and the answer is no, 2 the command was given something wrong
 (one line on stderr says what and what to do), 130 interrupted; 75 training was stopped by a signal and can go on.
 """
@@ -29,6 +31,7 @@ from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.installation import engine_complaint
 from kinetix_dist.level.structure import LevelNote
 from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.registry import TRUST_PLUGINS, TRUST_VARIABLE
 from kinetix_dist.renamed_settings import RenamedSettingError, refuse_old_words
 
 __all__ = ["COMMANDS", "main", "parse_args"]
@@ -72,7 +75,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(argv: list[str]) -> int:
     user_directories.settle()  # commands that compute say what it replaced
-    others = warnings.showwarning
+    others, trust = warnings.showwarning, os.environ.get(TRUST_VARIABLE)
+    argv = _without_trust(argv)
     warnings.showwarning = functools.partial(_show_warning, others)
     try:
         return _dispatch(argv)
@@ -84,6 +88,16 @@ def _run(argv: list[str]) -> int:
         return EXIT_INTERRUPTED
     finally:
         warnings.showwarning = others
+        if trust is None:
+            os.environ.pop(TRUST_VARIABLE, None)
+
+
+def _without_trust(argv: list[str]) -> list[str]:
+    """Take `--trust-plugins` out of the words after a command, and pass it on to all readers and child processes."""
+    words = argv[:1] + [word for word in argv[1:] if word != TRUST_PLUGINS]
+    if len(words) < len(argv):
+        os.environ[TRUST_VARIABLE] = "1"
+    return words
 
 
 def _show_warning(others: Callable[..., None], message: Any, category: type[Warning], *position: Any) -> None:
@@ -132,6 +146,7 @@ def _usage() -> str:
     width = max(map(len, COMMANDS))
     lines = [f"usage: {PROG} COMMAND [options]        {PROG} COMMAND --help shows the options", ""]
     lines += [f"  {name:<{width}}  {text}" for name, (_, text) in COMMANDS.items()]
+    lines += ["", f"  {TRUST_PLUGINS}  of every command: import the modules that checkpoints and runs name as plugins"]
     return "\n".join(lines)
 
 

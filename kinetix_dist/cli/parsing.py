@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from kinetix_dist.errors import UserError, one_line
-from kinetix_dist.setting import ConfigError
+from kinetix_dist.setting import ConfigError, check_finite
 
 PROG = "kinetix-dist"
 EXIT_USER_ERROR = 2  # a command that fails because of what it was given: one line on stderr (`UserError`)
@@ -29,7 +29,9 @@ def parse_args(args_type: Any, argv: Sequence[str], *, prog: str, default: Any =
     keywords = {} if default is None else {"default": default}
     try:
         with contextlib.redirect_stderr(complaint):
-            return tyro.cli(args_type, prog=prog, args=list(argv), **keywords)
+            args = tyro.cli(args_type, prog=prog, args=list(argv), **keywords)
+        check_finite(args, "Args")
+        return args
     except ConfigError as error:  # of a group of options: names of its class and fields
         option = re.sub(r"\b[A-Z]\w*\.(\w+)", lambda found: f"--{found[1].replace('_', '-')}", one_line(error))
         raise UserError(f"{option}; see `{prog} --help`") from None

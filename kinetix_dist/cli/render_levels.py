@@ -117,7 +117,7 @@ def _rollouts(args: Render) -> list[Rollout]:
     )
     eval_command.check(requested)
     trained = eval_command.trained_of(requested)
-    start_computing("" if trained is None else trained.config.run.compile_cache)
+    start_computing()
     levels, names = _levels(args)
     env = eval_command.environment_of(requested.preset, trained, levels)
     player = eval_command.players_of(requested, trained, env, levels)[args.by]

@@ -95,7 +95,7 @@ def _check(args: Solve) -> None:
 
     with user_errors(ValueError):
         preset(args.preset)
-    if args.seconds <= 0 or args.seconds != args.seconds:
+    if args.seconds <= 0:
         raise UserError(f"--seconds is {args.seconds}; give more than 0")
     if args.worlds < MIN_WORLDS:
         raise UserError(f"--worlds is {args.worlds}; give {MIN_WORLDS} or more")

@@ -111,13 +111,13 @@ def parse(
         raise UserError("--run is empty or the current directory; name a directory of the run's own, or leave it out")
     if known.resume and known.start_from is not None:
         raise UserError("--from is for a new run, and a run that is resumed goes on from its own checkpoints; give one")
+    with user_errors(ValueError):
+        import_plugins(known.plugins or ())  # before fields are checked, which may name parts that these register
     base = recipe_or_run(known.recipe or default_recipe)
     if known.resume:
         run, stored = _run_to_resume(run, base.run.name)
         base = stored if known.recipe is None else base
-    if known.plugins is not None:  # before fields are checked, which may name parts that these register
-        with user_errors(ValueError):
-            import_plugins(known.plugins)
+    if known.plugins is not None:
         base = dataclasses.replace(base, run=dataclasses.replace(base.run, plugins=tuple(known.plugins)))
     if not known.resume:
         base = adjust(base)
@@ -298,7 +298,7 @@ def recipe_or_run(name: str) -> TrainConfig:
 
     path = Path(name) / CONFIG
     if name not in RECIPES and path.is_file():
-        return _stored_config(path)
+        return _stored_config(path, is_resumed=False)
     with user_errors(ValueError):
         return recipe(name)
 
@@ -313,18 +313,19 @@ def _run_to_resume(run: Path | None, name: str) -> tuple[Path, TrainConfig]:
     path = run / CONFIG
     if not path.is_file():
         raise UserError(no_run_in(run))
-    return run, _stored_config(path)
+    return run, _stored_config(path, is_resumed=True)
 
 
-def _stored_config(path: Path) -> TrainConfig:
-    from kinetix_dist.config import from_dict
+def _stored_config(path: Path, *, is_resumed: bool) -> TrainConfig:
+    """Return the configuration of a run. Whoever resumes a run trusts its plugins and paths; a recipe needs less."""
+    from kinetix_dist.config import from_dict, from_dict_as_recipe
 
     with user_errors(ValueError, prefix=f"{path}: "):
         try:
             content = read_json(path)
             if not isinstance(content, dict):
                 raise TypeError(f"it holds a {type(content).__name__} and no configuration")
-            return from_dict(content["config"])
+            return (from_dict if is_resumed else from_dict_as_recipe)(content["config"])
         except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(
                 f"it is damaged ({type(error).__name__}: {one_line(error)}); the checkpoint.json of each checkpoint "

@@ -11,7 +11,7 @@ stored.py           configs of runs and checkpoints, with today's names
 """
 
 from kinetix_dist.config.phases import PhaseConfig, read_phases
-from kinetix_dist.config.plain import build, check_finite, differing, flat, to_dict
+from kinetix_dist.config.plain import build, differing, flat, to_dict
 from kinetix_dist.config.sections import (
     EvaluationConfig,
     ImitationConfig,
@@ -20,9 +20,16 @@ from kinetix_dist.config.sections import (
     RolloutConfig,
     RunConfig,
 )
-from kinetix_dist.config.stored import from_dict, from_dict_for_playing, has_same_numbers, with_phases
+from kinetix_dist.config.stored import (
+    curriculum_from_dict,
+    from_dict,
+    from_dict_as_recipe,
+    from_dict_for_playing,
+    has_same_numbers,
+    with_phases,
+)
 from kinetix_dist.config.train_config import StoredConfig, TrainConfig, differences, numbers_of
-from kinetix_dist.setting import ConfigError
+from kinetix_dist.setting import ConfigError, check_finite
 
 __all__ = [
     "ConfigError",
@@ -37,10 +44,12 @@ __all__ = [
     "TrainConfig",
     "build",
     "check_finite",
+    "curriculum_from_dict",
     "differences",
     "differing",
     "flat",
     "from_dict",
+    "from_dict_as_recipe",
     "from_dict_for_playing",
     "has_same_numbers",
     "numbers_of",

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
+from kinetix_dist.json_text import json_text
 from kinetix_dist.setting import ConfigError
 
 
 def to_dict(config: Any) -> dict[str, Any]:
     """A config as plain JSON types."""
-    return json.loads(json.dumps(dataclasses.asdict(config)))
+    return json.loads(json_text(dataclasses.asdict(config)))
 
 
 def build(kind: Any, data: Any, where: str = "") -> Any:
@@ -75,18 +75,3 @@ def differing(ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> list[str]:
 
 def in_words(values: Mapping[str, tuple[Any, Any]]) -> list[str]:
     return [f"{name} {left!r} instead of {right!r}" for name, (left, right) in sorted(values.items()) if left != right]
-
-
-def check_finite(section: Any, field: str = "") -> None:
-    """Raises ConfigError for a float of a dataclass, or of what is in it, that is not finite."""
-    if isinstance(section, float) and not math.isfinite(section):
-        raise ConfigError(f"{field} is {section}; it must be a finite number")
-    items: Iterable[tuple[Any, Any]] = ()
-    if isinstance(section, tuple | list):
-        items = enumerate(section)
-    elif isinstance(section, Mapping):
-        items = section.items()
-    elif dataclasses.is_dataclass(section):
-        items = [(each.name, getattr(section, each.name)) for each in dataclasses.fields(section)]
-    for name, item in items:
-        check_finite(item, f"{field}.{name}".removeprefix("."))

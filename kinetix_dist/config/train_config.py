@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import json
 import math
 import operator
 from collections.abc import Collection, Mapping
@@ -17,7 +16,7 @@ from typing import Any
 
 from kinetix_dist.config import checks
 from kinetix_dist.config.phases import UNCHANGED, PhaseConfig, Schedule, numbers_of_phases
-from kinetix_dist.config.plain import check_finite, flat, in_words, to_dict
+from kinetix_dist.config.plain import flat, in_words, to_dict
 from kinetix_dist.config.refresh_times import RefreshTimes, refresh_times
 from kinetix_dist.config.sections import (
     EvaluationConfig,
@@ -30,9 +29,11 @@ from kinetix_dist.curator.config import OWN_SECTIONS, CurriculumConfig
 from kinetix_dist.curator.curricula import curriculum_class
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.env_config import EnvConfig
+from kinetix_dist.json_text import json_text
 from kinetix_dist.learner.config import PpoConfig
 from kinetix_dist.learner.plasticity import PlasticityConfig
 from kinetix_dist.models.policy import PolicyConfig
+from kinetix_dist.setting import check_finite
 from kinetix_dist.telemetry.curriculum_log import CurriculumLogConfig
 
 
@@ -155,12 +156,17 @@ class TrainConfig:
     @property
     def hash(self) -> str:
         """16 hexadecimal digits over `numbers_of(self)`."""
-        text = json.dumps(numbers_of(self), sort_keys=True)
+        text = json_text(numbers_of(self), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-class StoredConfig(TrainConfig):
-    """Configuration of a policy that is only played: sections are not held against each other for training."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StoredConfig:
+    """Settings of a checkpoint by which its policy plays: no path, and no part that only training uses."""
+
+    env: EnvConfig = dataclasses.field(default_factory=EnvConfig)
+    policy: PolicyConfig = dataclasses.field(default_factory=PolicyConfig)
+    plugins: tuple[str, ...] = ()  # modules that register parts of these, which the user trusts
 
     def __post_init__(self) -> None:
         check_finite(self)

@@ -20,6 +20,7 @@ from kinetix_dist.config import build, differing, to_dict
 from kinetix_dist.env.env_config import EnvConfig, describe
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.installation import version_of
+from kinetix_dist.json_text import json_text
 from kinetix_dist.level.walls import empty_level
 
 FILE = "dataset.json"
@@ -90,7 +91,7 @@ def named_shapes(shapes: Any) -> dict[str, jax.ShapeDtypeStruct]:
 
 
 def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
-    replace_file(folder / FILE, json.dumps(manifest, indent=1).encode() + b"\n")
+    replace_file(folder / FILE, json_text(manifest, indent=1).encode() + b"\n")
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:

@@ -48,6 +48,11 @@ class Disturbance:
     noise: float = 0.0  # a uniform one
     sticky: float = 0.0  # the one before
 
+    def __post_init__(self) -> None:
+        for name, value in dataclasses.asdict(self).items():
+            if not 0 <= value < 1:
+                raise ValueError(f"Disturbance.{name} is {value}; it is a probability, from 0 to below 1")
+
 
 class Played(NamedTuple):
     """T steps of W worlds, [W, T, ...] each."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -110,7 +111,8 @@ def clone(
     on_report: Callable[[Progress], None] = lambda progress: None,
 ) -> Any:
     """Parameters after `config.steps`. max_delay: `FlowConfig.max_delay`; begun: from which it goes on, after a
-    multiple of `config.report_every` steps; on_report: gets each report. Raises ValueError for too few episodes."""
+    multiple of `config.report_every` steps; on_report: gets each report. Raises ValueError for too few episodes, and at
+    the first loss that is not finite, which no report has."""
     train, held_out = split_episodes(np.asarray(samples.left), config.held_out, config.seed)
     _, of_batches, of_held_out = _keys(config)
     chosen = np.random.default_rng((config.seed, CLONING_STREAM, 1)).permutation(held_out)[: config.held_out_batch]
@@ -121,7 +123,13 @@ def clone(
         params, state, loss = _many_steps(policy, env, config, learned[1:], samples, train, drawing)
         learned = Learned(learned.steps + config.report_every, params, state)
         out = _loss(policy, env, params, samples, chosen, of_held_out, max_delay)
-        on_report(Progress(learned, float(loss), float(out)))
+        progress = Progress(learned, float(loss), float(out))
+        if not math.isfinite(progress.loss) or not math.isfinite(progress.held_out_loss):
+            raise ValueError(
+                f"training has diverged by step {learned.steps:,} (loss {progress.loss:g}, held out "
+                f"{progress.held_out_loss:g}); lower --learning-rate (checkpoints and state from before stay)"
+            )
+        on_report(progress)
     return learned.params
 
 

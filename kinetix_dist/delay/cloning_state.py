@@ -32,6 +32,7 @@ from kinetix_dist.delay.chunk_policy import FlowConfig
 from kinetix_dist.delay.cloning import CloningConfig, Learned
 from kinetix_dist.delay.demonstrations import Demonstrations
 from kinetix_dist.errors import UserError, user_errors
+from kinetix_dist.json_text import json_text
 from kinetix_dist.telemetry.json_lines import mend_lines
 from kinetix_dist.text_files import read_json_object
 
@@ -64,10 +65,10 @@ def claim(run: Path, design: Mapping[str, Any]) -> None:
     file = run / DESIGN_NAME
     with user_errors(OSError, prefix=f"{run} cannot be written: "):
         if not file.exists():
-            replace_file(file, (json.dumps(design, indent=1) + "\n").encode())
+            replace_file(file, (json_text(design, indent=1) + "\n").encode())
             return
     stored = read_json_object(file, advice="choose another --run")
-    if differs := differing(json.loads(json.dumps(design)), stored):
+    if differs := differing(json.loads(json_text(design)), stored):
         more = f" and {len(differs) - 1} more" if len(differs) > 1 else ""
         raise UserError(
             f"{run} holds another training: {differs[0]}{more}; choose another --run, or the options that it was made "

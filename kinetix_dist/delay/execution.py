@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -62,7 +63,7 @@ class Schedule:
     def check(self) -> None:
         """Raises ValueError, one line, for chunks that cannot be executed."""
         d, s, horizon = self.delay, self.execute, self.horizon
-        if d < 0 or s < 1 or self.action_noise < 0:
+        if d < 0 or s < 1 or not 0 <= self.action_noise < math.inf:
             raise ValueError(f"a delay of {d}, an execution of {s} and noise {self.action_noise:g} are not possible")
         if s + d > horizon:
             raise ValueError(

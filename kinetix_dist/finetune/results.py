@@ -15,7 +15,6 @@ specialist is done.
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import shutil
 from collections.abc import Mapping, Sequence
@@ -33,6 +32,7 @@ from kinetix_dist.evaluation.intervals import wilson_interval
 from kinetix_dist.evaluation.load_policy import PARAMS_PREFIX
 from kinetix_dist.finetune.card import card_of
 from kinetix_dist.finetune.specialists import Point, Specialist, Start
+from kinetix_dist.json_text import json_text
 from kinetix_dist.level.fingerprints import fingerprint
 from kinetix_dist.level.level import Level
 from kinetix_dist.runtime import LOCK_NAME, RunDirectoryError, lock_directory, versions
@@ -211,7 +211,7 @@ def env_steps_to(points: Sequence[Point], threshold: float) -> int | None:
 
 
 def _json(content: Mapping[str, Any]) -> bytes:
-    return (json.dumps(content, indent=1) + "\n").encode()
+    return (json_text(content, indent=1) + "\n").encode()
 
 
 COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#ff7f0e")  # of starts, in their order

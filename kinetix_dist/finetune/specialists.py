@@ -86,7 +86,8 @@ def start_from(trained: Trained) -> Start:
             "policy_updates": description["num_updates"],
             "env_steps": description.get("env_steps"),
             "config_hash": description.get("config_hash"),
-            "start_from": trained.config.run.start_from,  # what that policy was trained from in its turn
+            # The checkpoint that this policy was trained from in its turn.
+            "start_from": description["config"].get("run", {}).get("start_from", ""),
         },
     )
 
@@ -94,7 +95,7 @@ def start_from(trained: Trained) -> Start:
 def like_policy(config: TrainConfig, trained: Trained) -> TrainConfig:
     """`config` with the network and the environment of a policy, and the modules that its parts come from."""
     theirs = trained.config
-    plugins = tuple(dict.fromkeys((*config.run.plugins, *theirs.run.plugins)))
+    plugins = tuple(dict.fromkeys((*config.run.plugins, *theirs.plugins)))
     return dataclasses.replace(
         config, env=theirs.env, policy=theirs.policy, run=dataclasses.replace(config.run, plugins=plugins)
     )

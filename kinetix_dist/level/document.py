@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jax2d.scene import JointKind
+from kinetix_dist.json_text import json_text
 from kinetix_dist.level.fit import capacity_of, smallest_size
 from kinetix_dist.level.kinetix_walls import USUAL_WALLS, PublicWalls
 from kinetix_dist.level.level import NUM_WALLS, ROLE_NAMES, Level
@@ -80,9 +81,9 @@ def dump_document(document: dict[str, Any]) -> str:
     for key, value in document.items():
         if isinstance(value, list) and value and isinstance(value[0], dict):
             rows = ",\n".join("    " + json.dumps(row, allow_nan=False) for row in value)
-            lines.append(f"  {json.dumps(key)}: [\n{rows}\n  ]")
+            lines.append(f"  {json_text(key)}: [\n{rows}\n  ]")
         else:
-            lines.append(f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
+            lines.append(f"  {json_text(key)}: {json.dumps(value, allow_nan=False)}")
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ import numpy as np
 
 from jax2d.scene import Array
 from kinetix_dist import prng
+from kinetix_dist.json_text import json_text
 from kinetix_dist.level.fit import capacity_of_size
 from kinetix_dist.level.generator import generate_level
 from kinetix_dist.level.generator_config import generator
@@ -69,7 +69,7 @@ def read_frontier_sets(file: Path) -> dict[str, FrontierSet]:
 def frontier_text(sets: Mapping[str, FrontierSet]) -> str:
     """Content of a file for `read_frontier_sets`."""
     content = {size: {k: v for k, v in dataclasses.asdict(made).items() if k != "size"} for size, made in sets.items()}
-    return json.dumps(content) + "\n"
+    return json_text(content) + "\n"
 
 
 def frontier_levels(given: FrontierSet) -> tuple[Level, list[str]]:

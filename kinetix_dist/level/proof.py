@@ -12,12 +12,12 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import itertools
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from kinetix_dist.json_text import json_text
 from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.structure import LevelFormatError, check_structure, read_document
 
@@ -49,7 +49,7 @@ class Proof:
 def level_hash(document: dict[str, Any]) -> str:
     """SHA-256 of the content of a level document of either format; names and descriptions do not count."""
     content = {key: value for key, value in document.items() if key not in ABOUT}
-    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    return hashlib.sha256(json_text(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def proof_path(level_file: Path, directory: Path | None = None) -> Path:
@@ -99,7 +99,7 @@ def write_proof(path: Path, proof: Proof) -> None:
     }
     document = {key: value for key, value in document.items() if value not in ("", None)}
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    path.write_text(json_text(document, indent=2) + "\n", encoding="utf-8")
 
 
 def check_proof_is_of(

@@ -35,6 +35,7 @@ from kinetix_dist.level.vectors import (
     to_vector,
     vector_size,
 )
+from kinetix_dist.setting import check_finite
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -49,6 +50,7 @@ class VaeConfig:
     num_steps: int = 3000  # gradient steps
 
     def __post_init__(self) -> None:
+        check_finite(self, "VaeConfig")
         for name in ("latent_size", "hidden_size", "batch_size", "num_steps"):
             if getattr(self, name) < 1:
                 raise ValueError(f"VaeConfig.{name} is {getattr(self, name)}; it must be 1 or more")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.config import ConfigError, TrainConfig, flat, from_dict, to_dict
 from kinetix_dist.errors import one_line
+from kinetix_dist.json_text import json_text
 from kinetix_dist.level.sets import files_of_set, size_of_drawn_set
 from kinetix_dist.near_names import did_you_mean
 from kinetix_dist.recipes import recipe
@@ -171,7 +171,7 @@ def train_arguments(run: Run, recipe_name: str, folder: Path) -> list[str]:
     for name, value in run.options.items():
         if name == PHASES:
             file = folder / f"{run.name}.{name}.json"
-            replace_file(file, json.dumps(value).encode())
+            replace_file(file, json_text(value).encode())
             value = file
         words += [f"--{name}", *_words_of(value)]
     return words
@@ -193,7 +193,7 @@ def hash_of(design: Design, runs: list[Run]) -> str:
 
 def short_hash(content: Any) -> str:
     """16 hexadecimal digits over plain values."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+    return hashlib.sha256(json_text(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def digests_of(level_sets: Iterable[str]) -> dict[str, str]:

@@ -5,13 +5,13 @@ It is locked while a command works in it, and belongs to one design: results of 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.errors import UserError, user_errors
+from kinetix_dist.json_text import json_text
 from kinetix_dist.runtime import RunDirectoryError, lock_directory
 from kinetix_dist.studio.runs.run_files import CONFIG, read_object
 from kinetix_dist.sweep.arms import Run
@@ -69,4 +69,4 @@ class ResultsDirectory:
 def write_json(file: Path, content: Any) -> None:
     """Raises UserError where the file cannot be written."""
     with user_errors(OSError, prefix=f"{file} cannot be written: "):
-        replace_file(file, (json.dumps(content, indent=1) + "\n").encode())
+        replace_file(file, (json_text(content, indent=1) + "\n").encode())

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.atomic_files import AtomicAppender, flush_to_disk, replace_file
+from kinetix_dist.json_text import json_text
 
 MAX_INTEGER = 2**63 - 1
 
@@ -159,7 +160,7 @@ def parse_row(line: bytes) -> Row:
 
 
 def _encode(row: Mapping[str, Any]) -> bytes:
-    return json.dumps(row).encode() + b"\n"
+    return json_text(row).encode() + b"\n"
 
 
 _TIME_FORMAT = "%Y-%m-%dT%H:%M:%SZ"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import socket
 import time
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.json_text import json_text
 from kinetix_dist.telemetry.json_lines import loads_json, utc_seconds
 
 FORMAT = 1
@@ -48,7 +48,7 @@ class StatusError(ValueError):
 
 def write_status(path: Path, status: Status) -> None:
     """Replaces the file by a rename. Raises OSError."""
-    replace_file(path, (json.dumps(dataclasses.asdict(status)) + "\n").encode())
+    replace_file(path, (json_text(dataclasses.asdict(status)) + "\n").encode())
 
 
 def read_status(path: Path) -> Status | None:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
-from kinetix_dist.checkpoint import list_checkpoints, load_checkpoint
+from kinetix_dist.checkpoint import CheckpointError, list_checkpoints, load_checkpoint, save_checkpoint, store
 from kinetix_dist.child_python import command_of
 from kinetix_dist.cli.main import main
 from kinetix_dist.data.collect import Collection, collect
+from kinetix_dist.delay import cloning
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
@@ -162,6 +167,62 @@ def test_more_steps_train_it_further(data: Path, unbroken: Path, tmp_path: Path)
         for name, array in theirs.items():
             np.testing.assert_array_equal(ours[name], array)
     assert progress_of(run) == progress_of(unbroken)
+
+
+def test_a_training_that_diverges_ends_in_one_line_and_stores_no_number_that_is_none(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert main([*command(data, run), "--learning-rate", "1e30", "--warmup-steps", "0"]) == 2
+    said = capsys.readouterr()
+    (line,) = said.err.splitlines()
+    assert "training has diverged by step 10 (loss nan, held out nan); lower --learning-rate" in line
+    assert "loss nan" not in said.out
+    assert not list_checkpoints(run / "state") and not list_checkpoints(run / "checkpoints")
+    assert not (run / "progress.jsonl").exists()
+
+
+def test_what_was_stored_before_a_divergence_stays(
+    data: Path, unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(unbroken, tmp_path / "run")
+    original = cloning._many_steps
+
+    def diverging(*given: Any) -> Any:
+        params, state, loss = original(*given)
+        return jax.tree.map(lambda x: x * np.nan, params), state, loss
+
+    monkeypatch.setattr(cloning, "_many_steps", diverging)
+    assert main(command(data, run, steps=STEPS + 40)) == 2
+    assert f"training has diverged by step {STEPS + 10}" in capsys.readouterr().err
+    assert_same(run, unbroken)
+
+
+def test_a_policy_that_is_not_finite_is_not_played(
+    unbroken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(unbroken, tmp_path / "run")
+    shutil.rmtree(run / "checkpoints")
+    newest = load_checkpoint(list_checkpoints(unbroken / "checkpoints")[-1])
+    arrays = {name: array * np.float32(np.nan) for name, array in newest.arrays.items()}
+    with pytest.raises(CheckpointError, match="is not finite"):
+        save_checkpoint(run / "checkpoints", STEPS, arrays, newest.description, keep=9)
+    with monkeypatch_of_earlier_versions():
+        save_checkpoint(run / "checkpoints", STEPS, arrays, newest.description, keep=9)
+    written = run / "checkpoints" / f"{STEPS:08d}"
+    for path in (written, run):
+        assert main(["bench", "delay", "--policy", str(path), "--levels", "s/kick", "--episodes", "1"]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
+    with pytest.raises(CheckpointError, match="is not finite, so that no policy plays by it"):
+        load_checkpoint(written)
+
+
+@contextlib.contextmanager
+def monkeypatch_of_earlier_versions() -> Iterator[None]:
+    """Checkpoints are written without a look at their numbers."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(store, "name_not_finite", lambda arrays: None)
+        yield
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from kinetix_dist.level.structure import LevelFormatError
 from kinetix_dist.models.policy import init_params, make_policy
 from kinetix_dist.recipes import recipe
 from kinetix_dist.runtime import make_environment
-from kinetix_dist.runtime.cores.imitation import Imitated, imitate, one_pool
+from kinetix_dist.runtime.cores.imitation import DivergedError, Imitated, imitate, one_pool
 from kinetix_dist.runtime.cores.proof_samples import WORLDS, levels_and_proofs, samples_of_proofs
 
 LEVEL = levels_root() / "s" / "hop_home.json"
@@ -102,6 +102,32 @@ def test_a_level_that_is_never_solved_is_solved_after_imitation_and_ends_the_run
     solved = {(row["phase"], row["update"]): sum(row["sets"][str(level)]["solved"]) for row in rows}
     assert solved["before", 0] < 6 and solved["training", 0] == solved["after", 0] > 32, solved
     assert [path.name for path in (run / "checkpoints").iterdir()] == ["00000000"]  # without any update
+
+
+@pytest.mark.parametrize("every", [5, 1000])
+def test_imitation_that_diverges_names_the_gradient_step(level: Path, every: int) -> None:
+    config = config_of(level)
+    env = make_environment(config)
+    samples = samples_of_proofs(config, env)
+    policy = make_policy(config.policy, env.action_distribution.head_sizes)
+    obs = env.observation.join(
+        jax.tree.map(lambda x: x[:1], samples.static_obs), jax.tree.map(lambda x: x[:1], samples.dynamic_obs)
+    )
+    settings = dataclasses.replace(config.imitation, learning_rate=1e30, every=every)
+    with pytest.raises(DivergedError, match=r"diverged at gradient step [1-5]: its loss is not finite"):
+        imitate(env, policy, init_params(policy, obs, prng.key(0)), one_pool(samples), settings, steps=20, seed=0)
+
+
+def test_a_run_whose_imitation_diverges_ends_in_one_line_without_a_checkpoint(
+    level: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    words = ["--recipe", "teach", "--curriculum.levels", str(level), "--evaluation.sets", str(level), "--run", str(run)]
+    words += ["--imitation.learning_rate", "1e30", "--run.imitation_steps", "8", "--run.placement", "local"]
+    assert main(["train", *words]) == 1
+    assert "diverged at gradient step" in (line := capsys.readouterr().err.splitlines()[-1])
+    assert "lower imitation.learning_rate" in line
+    assert not list((run / "checkpoints").glob("*")) and not (run / "report.json").exists()
 
 
 def test_levels_without_a_proof_are_refused_in_one_line(level: Path) -> None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -35,6 +35,10 @@ MAX_GRAD_NORM = 0.5
 VALUE_COEFFICIENT = 0.5
 IMITATION_STREAM = 0x494D4954  # "IMIT": key of noise, of what is held out and of batches
 LIKE = 0.1  # of the range of a dimension: so near is a most likely action like the one that was taken
+
+
+class DivergedError(Exception):
+    """Imitation reached a loss that is not finite."""
 
 
 class Samples(NamedTuple):
@@ -80,7 +84,8 @@ def one_pool(samples: Samples) -> Source:
 def imitate(
     env: Environment, policy: Any, params: Any, source: Source, config: ImitationConfig, *, steps: int, seed: int
 ) -> Imitated:
-    """At most so many gradient steps."""
+    """At most so many gradient steps. Raises DivergedError for a loss that is not finite, after at most
+    `config.every` more steps."""
     programs = _programs(env, policy, config.batch_size, config.learning_rate, steps)
     samples, count = next(source.pools)
     samples, weights = jax.tree.map(jnp.asarray, samples), class_weights(env.action_space, samples, count, config)
@@ -94,7 +99,10 @@ def imitate(
         pool = samples, jnp.int32(count), weights
         params, state, loss = programs.step(params, state, pool, prng.fold_in(key, number))
         losses.append(loss)
-        if held_out is None or ((number + 1) % config.every and number + 1 < steps):
+        if (number + 1) % config.every and number + 1 < steps:
+            continue
+        _check_finite(losses[-config.every :], params, number + 1)
+        if held_out is None:
             continue
         loss, accuracy = programs.score(params, held_out)
         curve.append({"step": number + 1, "loss": round(float(loss), 5), "accuracy": round(float(accuracy), 5)})
@@ -102,6 +110,22 @@ def imitate(
             break
     at, params = best.kept or (len(losses), params)
     return Imitated(params, at, float(np.mean(jax.device_get(losses[-max(len(losses) // 10, 1) :]))), curve)
+
+
+def _check_finite(losses: Sequence[Array], params: Any, steps: int) -> None:
+    """Raise DivergedError for a loss or a parameter that is not finite.
+
+    Args:
+        losses: Those of the last gradient steps.
+        params: Parameters after them.
+        steps: Gradient steps so far.
+    """
+    is_finite = np.isfinite(np.array(jax.device_get([*losses, *map(jnp.sum, jax.tree.leaves(params))])))
+    if not is_finite.all():
+        step = min(steps - len(losses) + int(np.argmin(is_finite)) + 1, steps)
+        raise DivergedError(
+            f"imitation has diverged at gradient step {step:,}: its loss is not finite; lower imitation.learning_rate"
+        )
 
 
 class Best:

@@ -23,7 +23,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from kinetix_dist.checkpoint import (
@@ -114,15 +113,9 @@ class Saver:
         self, num_updates: int, arrays: Mapping[str, np.ndarray], description: Mapping[str, Any]
     ) -> tuple[float, bool]:
         began = time.monotonic()
-        if name := next((name for name in arrays if name.startswith(f"{LEARNER}/") and _has_nan(arrays[name])), None):
-            raise ValueError(f"{name} is not finite: nothing could go on from it")
         was_gone = self._run.restore_config()
         save_checkpoint(self._run.checkpoints, num_updates, arrays, description, keep=self._keep)
         return time.monotonic() - began, was_gone
-
-
-def _has_nan(array: np.ndarray) -> bool:
-    return bool(jnp.issubdtype(array.dtype, jnp.floating)) and not bool(np.isfinite(array).all())
 
 
 def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter) -> Checkpoint | None:

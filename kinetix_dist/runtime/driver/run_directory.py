@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from kinetix_dist.errors import one_line
+from kinetix_dist.json_text import json_text
 from kinetix_dist.telemetry import curriculum_log
 from kinetix_dist.telemetry.event_names import check_event
 from kinetix_dist.telemetry.json_lines import (
@@ -229,7 +230,7 @@ class RunDirectory:
 
     def write_json(self, path: Path, content: Any) -> None:
         """Writes JSON by a rename: no reader ever sees half a file, and no kill leaves one."""
-        replace_file(path, (json.dumps(content, indent=2) + "\n").encode())
+        replace_file(path, (json_text(content, indent=2) + "\n").encode())
 
     def read_json(self, path: Path, *, is_whole: Callable[[Any], bool]) -> Any:
         """Reads what `write_json` wrote; None where there is no such file.

@@ -19,6 +19,7 @@ from kinetix_dist.errors import one_line
 from kinetix_dist.jax_checks import check_arithmetic, check_settings
 from kinetix_dist.program_cache import enable_compile_cache
 from kinetix_dist.runtime.cores.build import MODULES
+from kinetix_dist.runtime.cores.imitation import DivergedError
 from kinetix_dist.runtime.driver.checkpoints import LINEAGE
 from kinetix_dist.runtime.driver.colocated import ColocatedTrainer
 from kinetix_dist.runtime.driver.controller import Controller, Roles
@@ -134,6 +135,8 @@ def _train(
                 f"stopped by {stop.requested} in an update, which was lost ({error}){stop.hint}"
             ) from error
         raise RunFailedError(f"{error}; try again with --run {run.path} --resume") from error
+    except DivergedError as error:
+        raise RunFailedError(str(error)) from error
     except NotFiniteError as error:
         raise RunFailedError(f"{error}; checkpoints before them are in {run.checkpoints}") from error
     except StopFailedError as error:

@@ -34,7 +34,7 @@ def main(arguments: list[str]) -> None:
 
 def _is_forked(environment: dict[str, str], command: list[str]) -> bool:
     request = {"command": command, "environment": environment, "directory": str(Path.cwd())}
-    content = json.dumps(request).encode()
+    content = json.dumps(request, allow_nan=False).encode()
     streams = array.array("i", [0, 1, 2])
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:

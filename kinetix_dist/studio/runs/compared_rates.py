@@ -8,7 +8,6 @@ evaluations(run) --rate_curve--> metric "evaluation/<set>/solve_rate" over env s
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 
 from kinetix_dist.evaluation.intervals import for_readers, wilson_interval
 from kinetix_dist.evaluation.rate_difference import difference_for_readers, difference_of_rates
+from kinetix_dist.json_text import json_text
 from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.studio.runs import run_files
 from kinetix_dist.studio.runs.compare import flat_config
@@ -196,7 +196,7 @@ def baselines(sets: Mapping[str, Mapping[str, Any]], configs: Mapping[str, Mappi
         point = next((p for p in entry["points"] if p["phase"] == RANDOM and p["rate"] is not None), None)
         if point is None:
             continue
-        key = json.dumps([entry["names"], configs.get(run, {}).get("env")], sort_keys=True)
+        key = json_text([entry["names"], configs.get(run, {}).get("env")], sort_keys=True)
         shared = found.setdefault(key, {"runs": [], "solved": 0, "episodes": 0})
         shared["runs"].append(run)
         shared["solved"] += _num_solved(point)

@@ -20,6 +20,7 @@ from typing import IO, Any
 import numpy as np
 
 from kinetix_dist.child_python import command_of
+from kinetix_dist.json_text import json_text
 from kinetix_dist.studio.runs.series import SeriesTable
 from kinetix_dist.telemetry.json_lines import MAX_INTEGER, parse_line
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
@@ -105,7 +106,7 @@ def main(path: Path, out: IO[bytes]) -> None:
 
 
 def _write_line(out: IO[bytes], content: dict[str, Any]) -> None:
-    out.write(json.dumps(content).encode() + b"\n")
+    out.write(json_text(content).encode() + b"\n")
     out.flush()
 
 

@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import IO, Any
 
+from kinetix_dist.json_text import json_text
 from kinetix_dist.studio.runs.processes import Processes
 from kinetix_dist.studio.runs.refreshes import Refreshes
 from kinetix_dist.studio.runs.run_reader import RunReader
@@ -30,7 +31,7 @@ def summary_of(path: Path) -> dict[str, Any]:
 def main(lines: Iterable[str], out: IO[str]) -> None:
     """Main function of the process."""
     for line in lines:
-        out.write(json.dumps(summary_of(Path(json.loads(line)))) + "\n")
+        out.write(json_text(summary_of(Path(json.loads(line)))) + "\n")
         out.flush()
 
 

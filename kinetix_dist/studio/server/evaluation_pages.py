@@ -23,6 +23,7 @@ from typing import Any
 
 from aiohttp import web
 
+from kinetix_dist.json_text import json_text
 from kinetix_dist.studio.runs.evaluations import evaluations
 from kinetix_dist.studio.runs.failure_groups import groups_of_set
 from kinetix_dist.studio.runs.finetune_command import archive_stem, file_names, finetune_lines, has_checkpoint
@@ -164,5 +165,5 @@ def _zipped(body: bytes) -> bytes:
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
         for file, (_, document) in zip(file_names([name for name, _ in entries]), entries, strict=True):
-            archive.writestr(zipfile.ZipInfo(file, FIRST_DATE), json.dumps(document, indent=2))
+            archive.writestr(zipfile.ZipInfo(file, FIRST_DATE), json_text(document, indent=2))
     return content.getvalue()

@@ -13,6 +13,7 @@ from typing import Any
 
 from aiohttp import web
 
+from kinetix_dist.json_text import json_text
 from kinetix_dist.studio.runs import run_files
 from kinetix_dist.studio.runs.first_buffer import first_buffer, first_outcomes, next_probe
 from kinetix_dist.studio.runs.refreshes import Refreshes
@@ -148,7 +149,7 @@ def thumbnails_response(body: bytes) -> web.Response:
 
 def document_response(document: dict[str, Any], name: str) -> web.Response:
     """Download of a level file."""
-    response = web.Response(text=json.dumps(document, indent=2), content_type="application/json")
+    response = web.Response(text=json_text(document, indent=2), content_type="application/json")
     response.headers["Content-Disposition"] = f'attachment; filename="{name.encode("ascii", "replace").decode()}"'
     return response
 

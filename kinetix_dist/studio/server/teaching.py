@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-import json
 import re
 import shlex
 import shutil
@@ -32,6 +31,7 @@ from typing import Any
 
 from kinetix_dist.errors import one_line
 from kinetix_dist.evaluation.intervals import difference_interval
+from kinetix_dist.json_text import json_text
 from kinetix_dist.level.proof import proof_path, read_proof
 from kinetix_dist.level.structure import LevelFormatError
 from kinetix_dist.studio.runs import run_files
@@ -185,7 +185,7 @@ class Teaching:
             if not files.run.exists() and not files.proof.exists():
                 try:
                     with files.level.open("x", encoding="utf-8") as file:
-                        file.write(json.dumps(document, indent=1) + "\n")
+                        file.write(json_text(document, indent=1) + "\n")
                     return files
                 except FileExistsError:
                     pass

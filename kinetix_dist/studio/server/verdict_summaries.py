@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from kinetix_dist.child_python import command_of
+from kinetix_dist.json_text import json_text
 from kinetix_dist.studio.runs import run_files
 from kinetix_dist.studio.runs.statements import UNKNOWN
 
@@ -51,7 +52,7 @@ class Judge:
             command = command_of("kinetix_dist.parent_death", os.getpid(), NICE, *command_of(self._module))
             self._process = await asyncio.create_subprocess_exec(*command, stdin=pipe, stdout=pipe)
         assert self._process.stdin is not None and self._process.stdout is not None
-        self._process.stdin.write(json.dumps(str(path)).encode() + b"\n")
+        self._process.stdin.write(json_text(str(path)).encode() + b"\n")
         line = await self._process.stdout.readline()
         if not line:
             await self.end()

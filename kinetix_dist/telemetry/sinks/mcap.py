@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import os
 import queue
 import threading
@@ -32,6 +31,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
 from kinetix_dist.atomic_files import append_atomically
+from kinetix_dist.json_text import json_text
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.telemetry.rollout_schema import MESSAGE, PACKAGE, Sizes, encode_messages, file_descriptor_set
 from kinetix_dist.telemetry.scene_updates import fixed_scene, moving_scenes
@@ -51,7 +51,7 @@ EventHandler = Callable[[str, dict[str, Any]], None]
 def metadata_checksum(entries: dict[str, str]) -> str:
     """CRC-32 of a metadata record without its "crc32" entry: MCAP itself has none for metadata."""
     rest = {key: value for key, value in entries.items() if key != "crc32"}
-    return f"{zlib.crc32(json.dumps(rest, sort_keys=True).encode()):08x}"
+    return f"{zlib.crc32(json_text(rest, sort_keys=True).encode()):08x}"
 
 
 class RolloutWriter:
@@ -312,7 +312,7 @@ def _metadata(index: int, rollout: Rollout, sizes: Sizes) -> dict[str, str]:
         "seed": str(rollout.seed),
         "num_steps": str(rollout.num_steps),
         "step_seconds": repr(rollout.step_seconds),
-        "actions": json.dumps([dataclasses.asdict(name) for name in rollout.action_names]),
+        "actions": json_text([dataclasses.asdict(name) for name in rollout.action_names]),
         **{f"num_{name}": str(value) for name, value in dataclasses.asdict(sizes).items()},
     }
     return {**entries, "crc32": metadata_checksum(entries)}
