@@ -28,6 +28,7 @@ from kinetix_dist.delay.execution import Schedule
 from kinetix_dist.delay.picture import draw
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.evaluation.evaluate import Episodes
+from kinetix_dist.evaluation.intervals import NO_SPREAD
 from kinetix_dist.level.level_data import base_levels
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.number_ranges import numbers_in
@@ -205,4 +206,6 @@ def _points_above(record: Record | None) -> str:
     found = record and record["above_naive"]
     if not found:
         return "-"
+    if found["low"] is None:
+        return f"{100 * found['difference']:+.1f} ({NO_SPREAD})"
     return f"{100 * found['difference']:+.1f} ({100 * found['low']:+.0f} to {100 * found['high']:+.0f})"

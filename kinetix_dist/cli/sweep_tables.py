@@ -95,7 +95,9 @@ def effects_table(effects: dict[str, Any]) -> Any:
 
 
 def _interval(estimate: dict[str, Any], sign: str = "") -> str:
+    from kinetix_dist.evaluation.intervals import NO_SPREAD
+
     value = f"{estimate['value']:{sign}.4f}"
-    return (
-        value if estimate["low"] is None else f"{value} ({estimate['low']:{sign}.4f} to {estimate['high']:{sign}.4f})"
-    )
+    if estimate["low"] is None:
+        return value if estimate["standard_error"] is None else f"{value} ({NO_SPREAD})"
+    return f"{value} ({estimate['low']:{sign}.4f} to {estimate['high']:{sign}.4f})"

@@ -232,7 +232,8 @@ def record_of(
 
 def with_differences(records: Sequence[Record], bases: Sequence[str]) -> list[Record]:
     """The records, each with `above_naive`: its rate less that of the naive method of the same policy and delay, with
-    the interval over levels; None where that was not played or there is one level."""
+    the interval over levels, whose ends are None where all levels differ alike; None where that was not played or there
+    is one level."""
     naive = {_point(record): record for record in records if record["method"] == NAIVE}
     return [record | {"above_naive": _difference(record, naive.get(_point(record)), bases)} for record in records]
 
@@ -241,9 +242,10 @@ def _point(record: Record) -> tuple[Any, ...]:
     return tuple(record[name] for name in ("policy", "delay", "execute", "horizon"))
 
 
-def _difference(record: Record, naive: Record | None, bases: Sequence[str]) -> dict[str, float] | None:
-    if naive is None or naive is record:
+def _difference(record: Record, naive: Record | None, bases: Sequence[str]) -> dict[str, float | None] | None:
+    if naive is None or naive is record or len(set(bases)) < 2:
         return None
     rates, others = ([level["rate"] for level in each["levels"]] for each in (record, naive))
     found = difference_over_levels(rates, others, bases)
-    return None if found is None else dict(zip(("difference", "low", "high"), found, strict=True))
+    difference, low, high = found or (float(np.mean(rates) - np.mean(others)), None, None)
+    return {"difference": difference, "low": low, "high": high}

@@ -84,6 +84,15 @@ def variance_of_ratio(sums: Collection[Sequence[float]], ratio: float) -> float:
     return squares / sum(size for _, size in sums) ** 2 * count / (count - 1)
 
 
+NO_SPREAD = "no spread"  # words in place of an interval that would have no width
+NO_WIDTH = 1e-12  # of an interval of rates: what rounding leaves of none
+
+
+def has_spread(low: float, high: float) -> bool:
+    """Return whether an interval has any width: one without would claim certainty, where nothing is known."""
+    return high - low > NO_WIDTH
+
+
 def t_95(degrees_of_freedom: float, comparisons: int = 1) -> float:
     """97.5 % quantile of Student's t: two-sided 95 %, of so many comparisons together (Bonferroni)."""
     from scipy.special import stdtrit  # heavy

@@ -10,14 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from kinetix_dist.evaluation.intervals import t_95, variance_of_ratio
+from kinetix_dist.evaluation.intervals import has_spread, t_95, variance_of_ratio
 
 
 def difference_over_levels(
     rates: Sequence[float], others: Sequence[float], base_levels: Sequence[str], *, comparisons: int = 1
 ) -> tuple[float, float, float] | None:
     """(difference, low, high), 95 %, by Student's t with one less than the number of base levels as degrees of freedom;
-    None for fewer than two base levels. rates, others: of each level. comparisons: that are made at once."""
+    None for fewer than two base levels, and where all differ alike. rates, others: of each level. comparisons: that are
+    made at once."""
     differences = [one - other for one, other in zip(rates, others, strict=True)]
     sums: dict[str, list[float]] = {}
     for difference, base in zip(differences, base_levels, strict=True):
@@ -28,4 +29,4 @@ def difference_over_levels(
         return None
     mean = sum(differences) / len(differences)
     margin = t_95(count - 1, comparisons) * math.sqrt(variance_of_ratio(sums.values(), mean))
-    return mean, mean - margin, mean + margin
+    return (mean, mean - margin, mean + margin) if has_spread(mean - margin, mean + margin) else None

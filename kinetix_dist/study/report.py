@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
+from kinetix_dist.evaluation.intervals import NO_SPREAD
 from kinetix_dist.study.forgetting import MEASURES, Forgetting
 from kinetix_dist.study.learnability import sentences as learnability
 from kinetix_dist.study.plan import Plan
@@ -17,6 +18,8 @@ MAX_NAMED = 12  # runs that did not finish and are named one by one
 _OVER = {
     OVER_SEEDS: "intervals are 95 % over seeds, by bootstrap, and by Welch's t for differences",
     OVER_LEVELS: "intervals are 95 % over base levels, since an arm has one seed, and say nothing of seeds",
+    NO_SPREAD: "no spread means that all seeds came out alike (or, with one seed, all base levels), which says nothing "
+    "of others",
     NO_INTERVAL: "there is no interval, since an arm has one seed and the set one base level",
 }
 
@@ -124,7 +127,7 @@ def state(plan: Plan, summary: Summary) -> str:
 
 
 def percent(estimate: Estimate) -> str:
-    return f"{100 * estimate.value:.1f}{_interval(estimate.low, estimate.high, '')}"
+    return f"{100 * estimate.value:.1f}{_interval(estimate, '')}"
 
 
 def points(estimate: Estimate | None) -> str:
@@ -135,7 +138,7 @@ def points(estimate: Estimate | None) -> str:
     if estimate.welch is not None:
         low, high = (100 * value for value in estimate.welch)
         welch = f" [t: {low:+.1f} to {high:+.1f}]"
-    return f"{100 * estimate.value:+.1f}{_interval(estimate.low, estimate.high, '+')}{welch}"
+    return f"{100 * estimate.value:+.1f}{_interval(estimate, '+')}{welch}"
 
 
 def in_millions(env_steps: float) -> str:
@@ -144,8 +147,12 @@ def in_millions(env_steps: float) -> str:
     return f"{millions:.0f} M" if millions >= 10 else f"{millions:.1f} M" if millions >= 1 else f"{round(env_steps):,}"
 
 
-def _interval(low: float | None, high: float | None, sign: str) -> str:
-    return "" if low is None or high is None else f" ({100 * low:{sign}.1f} to {100 * high:{sign}.1f})"
+def _interval(estimate: Estimate, sign: str) -> str:
+    if estimate.over == NO_SPREAD:
+        return f" ({NO_SPREAD})"
+    if estimate.low is None or estimate.high is None:
+        return ""
+    return f" ({100 * estimate.low:{sign}.1f} to {100 * estimate.high:{sign}.1f})"
 
 
 def _estimates(result: ArmResult) -> list[Estimate]:

@@ -1,8 +1,8 @@
 """Results of a study in numbers: each arm on each set, at the end and over training, and the differences to one arm.
 
 Intervals are over seeds, by bootstrap, where an arm has two or more; with one seed they are over base levels, and say
-nothing of seeds. Where arms are trained for different steps, each has its own end, and differences over training are
-over the steps that both have.
+nothing of seeds. A sample that came out alike gives no interval: `NO_SPREAD`. Where arms are trained for different
+steps, each has its own end, and differences over training are over the steps that both have.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinetix_dist.evaluation.intervals import interval_over_levels
+from kinetix_dist.evaluation.intervals import NO_SPREAD, interval_over_levels
 from kinetix_dist.evaluation.over_seeds import bootstrap_difference, bootstrap_interval, iqm, mean, welch_interval
 from kinetix_dist.evaluation.paired_levels import difference_over_levels
 from kinetix_dist.evaluation.summary import worst_share
@@ -144,8 +144,14 @@ def over_seeds(values: Sequence[float], statistic: Callable[[np.ndarray], np.nda
     """A statistic of one value a seed."""
     value, interval = float(statistic(np.asarray(values, float))), bootstrap_interval(values, statistic)
     if interval is None:
-        return Estimate(value=value, low=None, high=None, over=NO_INTERVAL)
+        return _without_interval(value, len(values))
     return Estimate(value=value, low=interval[0], high=interval[1], over=OVER_SEEDS)
+
+
+def _without_interval(value: float, num_samples: int) -> Estimate:
+    """Return an estimate that has no interval. num_samples: seeds or base levels that came out alike, or fewer than
+    two."""
+    return Estimate(value=value, low=None, high=None, over=NO_SPREAD if num_samples > 1 else NO_INTERVAL)
 
 
 def _difference(records: Sequence[Record], reference: Sequence[Record], rates: Rates) -> Estimate | None:
@@ -159,10 +165,12 @@ def _difference(records: Sequence[Record], reference: Sequence[Record], rates: R
     if interval is not None:
         low, high = interval
         return Estimate(value=value, low=low, high=high, over=OVER_SEEDS, welch=welch_interval(ours, theirs))
+    if (num_seeds := min(len(ours), len(theirs))) > 1:
+        return _without_interval(value, num_seeds)
     ours_by_level, theirs_by_level = (
         np.mean([rates(record) for record in each], axis=0).tolist() for each in (records, reference)
     )
     found = difference_over_levels(ours_by_level, theirs_by_level, records[0].base_levels)
     if found is None:
-        return Estimate(value=value, low=None, high=None, over=NO_INTERVAL)
+        return _without_interval(value, len(set(records[0].base_levels)))
     return Estimate(value=value, low=found[1], high=found[2], over=OVER_LEVELS)

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from kinetix_dist.evaluation.intervals import t_95
+from kinetix_dist.evaluation.intervals import has_spread, t_95
 from kinetix_dist.sweep.factorial import TwoLevelDesign
 
 HIGH_ORDER = 3  # products of so many factors are taken for noise
@@ -46,15 +46,17 @@ class Estimate:
     error: Error | None
 
     def as_json(self) -> dict[str, object]:
+        """Return the estimate for JSON; `low` and `high` are null without an error, and where it has no spread (0)."""
         error = self.error
+        margin = None if error is None or not has_spread(0.0, error.margin) else error.margin
         return {
             "name": self.name,
             "value": self.value,
             "standard_error": None if error is None else error.standard_error,
             "degrees_of_freedom": None if error is None else error.degrees_of_freedom,
             "error_from": None if error is None else error.source,
-            "low": None if error is None else self.value - error.margin,
-            "high": None if error is None else self.value + error.margin,
+            "low": None if margin is None else self.value - margin,
+            "high": None if margin is None else self.value + margin,
         }
 
 

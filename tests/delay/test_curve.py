@@ -260,7 +260,9 @@ def test_differences_are_level_by_level() -> None:
         return where | {"method": method, "levels": [{"rate": rate} for rate in rates]}
 
     found = with_differences([record("rtc", 0.9, 0.5, 0.2), record("naive", 0.8, 0.4, 0.1)], ["a", "b", "c"])
-    assert found[0]["above_naive"] == pytest.approx({"difference": 0.1, "low": 0.1, "high": 0.1})
+    assert found[0]["above_naive"] == {"difference": pytest.approx(0.1), "low": None, "high": None}
+    found = with_differences([record("rtc", 0.9, 0.5, 0.3), record("naive", 0.8, 0.4, 0.1)], ["a", "b", "c"])
+    assert found[0]["above_naive"]["low"] < found[0]["above_naive"]["difference"] < found[0]["above_naive"]["high"]
     assert found[1]["above_naive"] is None
     [alone] = with_differences([record("rtc", 0.9, 0.5)], ["a", "b"])
     assert alone["above_naive"] is None

@@ -31,10 +31,19 @@ def test_one_seed_has_no_interval():
     assert bootstrap_difference([0.5], [0.1, 0.2]) is None and welch_interval([0.1, 0.2], [0.5]) is None
 
 
-def test_equal_values_have_an_interval_of_no_width():
-    assert bootstrap_interval([0.5, 0.5, 0.5]) == pytest.approx((0.5, 0.5))
-    assert bootstrap_interval([0.5, 0.5, 0.5], iqm) == pytest.approx((0.5, 0.5))
-    assert welch_interval([0.5, 0.5], [0.2, 0.2]) == pytest.approx((0.3, 0.3))
+@pytest.mark.parametrize("value", [0.0, 0.1, 0.5, 0.7, 1.0])
+@pytest.mark.parametrize("count", [2, 3, 7, 20])
+def test_equal_values_have_no_interval(value, count):
+    values, others = [value] * count, [0.3] * (count + 1)
+    assert bootstrap_interval(values) is None and bootstrap_interval(values, iqm) is None
+    assert bootstrap_difference(values, others) is None and bootstrap_difference(values, others, iqm) is None
+    assert welch_interval(values, others) is None
+
+
+def test_a_difference_has_an_interval_where_one_of_two_arms_has_spread():
+    assert bootstrap_difference([0.5, 0.5], [0.2, 0.3]) == pytest.approx((0.2, 0.3))
+    low, high = welch_interval([0.5, 0.5], [0.2, 0.3])
+    assert low < 0.25 < high
 
 
 def test_the_interval_of_few_seeds_ends_at_the_extremes_and_is_repeated():
@@ -74,9 +83,10 @@ def test_welchs_intervals_hold_the_true_difference_with_three_seeds():
 # On the same levels
 
 
-def test_levels_that_both_solve_alike_say_nothing_of_a_difference():
-    rates = [1.0, 0.0] * 20
-    assert difference_over_levels(rates, rates, [str(i) for i in range(40)]) == (0.0, 0.0, 0.0)
+@pytest.mark.parametrize("gain", [0.0, 0.1, 0.3])
+def test_levels_that_differ_alike_say_nothing_of_others(gain):
+    rates = [0.7, 0.0, 0.2] * 20
+    assert difference_over_levels([rate + gain for rate in rates], rates, [str(i) for i in range(60)]) is None
 
 
 def test_the_difference_of_levels_is_paired():

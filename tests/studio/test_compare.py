@@ -42,6 +42,17 @@ def test_the_band_of_a_mean_is_as_wide_as_its_standard_error_says() -> None:
     assert curve.low[0] < values.mean() < curve.high[0]
 
 
+def test_runs_that_agree_have_no_band() -> None:
+    x = np.arange(4.0)
+    same = [(x, np.array([0.1, 0.2, 0.3, 0.4])) for _ in range(3)]
+    found = group_curve(same, statistic="mean", points=4)
+    np.testing.assert_allclose(found.center, [0.1, 0.2, 0.3, 0.4])
+    assert np.isnan(found.low).all() and np.isnan(found.high).all()
+    other = [*same, (x, np.array([0.1, 0.2, 0.3, 0.9]))]
+    found = group_curve(other, statistic="mean", points=4)
+    assert np.isnan(found.low[:3]).all() and found.low[3] < found.center[3] < found.high[3]
+
+
 def test_rows_without_a_value_are_passed_and_runs_without_any_left_out() -> None:
     x = np.arange(3.0)
     curve = group_curve([(x, np.array([1.0, np.nan, 3.0])), (x, np.full(3, np.nan))], statistic="iqm", points=3)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from kinetix_dist.cli.sweep_tables import _interval
 from kinetix_dist.sweep.effects import Error, Estimate, main_effects, mean_of_arms
 from kinetix_dist.sweep.factorial import two_level_design
 from tests.sweep.test_factorial import factorial, seven
@@ -112,3 +113,21 @@ def test_arms_of_a_list_share_the_variance_within_them():
 def test_arms_that_are_missing_are_refused():
     with pytest.raises(ValueError, match="8 arms are needed"):
         main_effects(seven(fold_over=False), [[1.0]] * 7)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, 0.7])
+def test_seeds_that_came_out_alike_have_no_interval(value):
+    design = two_level_design(factorial({"A": "", "B": ""}))
+    estimates = [*main_effects(design, [[value] * 3] * 4), *mean_of_arms({"a": [value] * 3, "b": [0.3] * 2})]
+    for estimate in estimates:
+        stored = estimate.as_json()
+        assert stored["low"] is None and stored["high"] is None
+        assert stored["standard_error"] == pytest.approx(0.0) and stored["error_from"]
+        assert _interval(stored).endswith(f"{estimate.value:.4f} (no spread)")
+    (alone,) = mean_of_arms({"a": [value]})
+    assert _interval(alone.as_json()) == f"{value:.4f}"  # nothing says how large the error is
+
+
+def test_seeds_that_differ_have_an_interval():
+    stored = mean_of_arms({"a": [0.1, 0.2]})[0].as_json()
+    assert stored["low"] < 0.15 < stored["high"] and " to " in _interval(stored)

@@ -2,7 +2,7 @@
 
 A group of runs (seeds of one setting) has a mean or an interquartile mean at each point of the axis, with a bootstrap
 band: the statistic of other seeds, as far as these seeds show it. (R. Agarwal et al., Deep Reinforcement Learning
-at the Edge of the Statistical Precipice, 2021.) A group of one run has no band.
+at the Edge of the Statistical Precipice, 2021.) A group of one run has no band, nor have runs that agree.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def group_curve(curves: Sequence[tuple[np.ndarray, np.ndarray]], *, statistic: s
 
     curves: (x [n], y [n]) of each run, x rising, nan for a missing value. Runs are interpolated linearly between their
     rows, and never beyond them. The center is nan where a run of the group has no data: it would jump where a run ends.
-    The band is nan where a single run has data. Raises ValueError for an unknown statistic.
+    The band is nan where a single run has data, or where all runs agree. Raises ValueError for an unknown statistic.
     """
     if statistic not in STATISTICS:
         raise ValueError(f"statistic {statistic!r} is none of {', '.join(STATISTICS)}")
@@ -79,7 +79,9 @@ def group_curve(curves: Sequence[tuple[np.ndarray, np.ndarray]], *, statistic: s
         center[chosen] = STATISTICS[statistic](present)
         if count > 1:
             resampled = STATISTICS[statistic](present[:, chance.integers(count, size=(RESAMPLES, count))])
-            low[chosen], high[chosen] = np.quantile(resampled, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=1)
+            ends = np.quantile(resampled, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=1)
+            has_no_spread = np.ptp(present, axis=1) == 0
+            low[chosen], high[chosen] = np.where(has_no_spread, np.nan, ends)
     return GroupCurve(grid, center, low, high, num_runs)
 
 

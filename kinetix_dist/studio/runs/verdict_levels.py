@@ -150,13 +150,19 @@ def _rise(found: Replayed) -> tuple[Estimate | None, str]:
     now = found.solved[both] / found.finished[both]
     then = earlier.solved[both] / earlier.attempts[both]
     rise = difference_over_levels(now.tolist(), then.tolist(), [str(level) for level in range(len(now))])
-    assert rise is not None
+    if rise is None:  # all differ alike: by attempts then
+        counts = ((found.solved, found.finished), (earlier.solved, earlier.attempts))
+        rise = difference_interval(*(_rate(int(solved[both].sum()), int(plays[both].sum())) for solved, plays in counts))
     when = f"updates {earlier.from_update:,} to {earlier.update:,}"
     return rise, (
         f"Their mean solve rate went from {percent(float(then.mean()))} in training ({when}, "
         f"{counted(int(earlier.attempts[both].sum()), 'attempt')}) to {percent(float(now.mean()))} "
         f"({counted(int(found.finished[both].sum()), 'episode')}): {change(rise)}."
     )
+
+
+def _rate(solved: int, plays: int) -> Estimate:
+    return (solved / plays, *wilson_interval(solved, plays))
 
 
 def _estimate(flags: np.ndarray, comparisons: int) -> Estimate:

@@ -129,7 +129,9 @@ def _difference(
         bases = base_levels(name, levels)
         if len(set(bases)) < len(bases):
             rates = [[solved / point["attempts"] for solved in point["solved"]] for point in (now, other)]
-            return difference_over_levels(rates[0], rates[1], bases, comparisons=comparisons)
+            paired = difference_over_levels(rates[0], rates[1], bases, comparisons=comparisons)
+            if paired is not None:
+                return paired
     return difference_interval(_estimate(now, comparisons), _estimate(other, comparisons))
 
 

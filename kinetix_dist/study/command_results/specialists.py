@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from kinetix_dist.errors import UserError
+from kinetix_dist.evaluation.intervals import NO_SPREAD
 from kinetix_dist.evaluation.over_seeds import bootstrap_interval, mean
 from kinetix_dist.finetune.results import THRESHOLDS
 from kinetix_dist.stored_specialists import read_results
@@ -39,7 +40,9 @@ class Specialists:
             own = [row for row in rows if row["arm"] == arm]
             rates = _by_level(own, "final")
             interval = bootstrap_interval([*rates.values()], mean)
-            low_to_high = "" if interval is None else f" ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})"
+            low_to_high = f" ({NO_SPREAD})" if len(rates) > 1 else ""
+            if interval is not None:
+                low_to_high = f" ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})"
             counts = " and ".join(
                 f"{sum(rate >= share for rate in rates.values())} by {share:.0%} or more" for share in THRESHOLDS
             )

@@ -31,7 +31,7 @@ export const GLOSSARY = {
     "names": [
       "bootstrap band"
     ],
-    "text": "interval of a mean over runs: the runs are drawn again with replacement a thousand times, and the middle 95 % of the means is the band. One run has none"
+    "text": "interval of a mean over runs: the runs are drawn again with replacement a thousand times, and the middle 95 % of the means is the band. One run has none, nor have runs that agree"
   },
   "buffer": {
     "names": [

@@ -170,7 +170,7 @@ function Groups({ data, curves, metric, view, statistic, group }) {
   const rows = () => [["group", data.axis, statistic, "low", "high", "runs"], ...groups.flatMap((/** @type {any} */ entry) =>
     entry.x.map((/** @type {number} */ place, /** @type {number} */ k) => [entry.value, place, entry.center[k], entry.low[k], entry.high[k], entry.num_runs[k]]))];
   const name = statistic === "iqm" ? "interquartile mean" : "mean";
-  return html`<${Panel} title=${`${titleOf(metric)}: ${name} of groups`} help="bands: 95 % bootstrap over runs (seeds); none where one run has data" rows=${rows}
+  return html`<${Panel} title=${`${titleOf(metric)}: ${name} of groups`} help="bands: 95 % bootstrap over runs (seeds); none where one run has data, or all runs agree" rows=${rows}
     missing=${groups.length ? null : "There is nothing to put together."}>
     <${LineChart} x=${x} lines=${[...lines, ...baselinesOf(curves, x)]} axis=${data.unit} smoothing=${isRate ? 0 : view.smooth} height=${320} range=${[view.from, view.to]} onZoom=${zoom} /></${Panel}>`;
 }
