@@ -83,8 +83,9 @@ def check_finite(section: Any, field: str = "") -> None:
 
     NaN passes a limit that is written as `value < 0`, so options and settings come through here first.
     """
-    is_float = isinstance(section, numbers.Real) and not isinstance(section, numbers.Integral)
-    if is_float and not math.isfinite(section):
+    if section is None or isinstance(section, str | int):  # most fields; whole numbers may be beyond float
+        return
+    if isinstance(section, numbers.Real) and not math.isfinite(section):
         raise ConfigError(f"{field} is {section}; it must be a finite number")
     items: Iterable[tuple[Any, Any]] = ()
     if isinstance(section, tuple | list):

@@ -20,6 +20,7 @@ from kinetix_dist.finetune.results import Key, ResultsDirectory, design_of
 from kinetix_dist.finetune.specialists import SCRATCH, Specialist, Specialists, Start
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
+from kinetix_dist.near_names import first_shared
 from kinetix_dist.runtime import starting_point
 from kinetix_dist.stored_specialists import Record
 from kinetix_dist.telemetry.sinks.console import ConsoleSink
@@ -56,8 +57,10 @@ def prepare(config: TrainConfig, plan: Plan) -> Prepared:
     config = _alone(config)
     with user_errors(ValueError, OSError):
         levels, names = load_level_set(config.curriculum.levels, config.env.size)
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise UserError(f"{config.curriculum.levels} has more than one level {twice[0]!r}; rename one of the files")
+    if shared := first_shared(names):
+        first, second = shared
+        other = "" if first == second else f" or {second!r}, which share a file on some file systems"
+        raise UserError(f"{config.curriculum.levels} has more than one level {first!r}{other}; rename one of the files")
     design = design_of(config, levels, names, stop_at=plan.stop_at, has_seeds=bool(plan.seeds))
     return Prepared(config, levels, names, design)
 

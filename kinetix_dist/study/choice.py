@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from kinetix_dist.near_names import did_you_mean
+from kinetix_dist.number_ranges import MAX_SEEDS
 from kinetix_dist.sweep.design import DesignError
 from kinetix_dist.sweep.results_directory import ARMS
 
@@ -19,10 +20,22 @@ def check_arms(chosen: Iterable[str], arms: Sequence[str], problem: str) -> None
 
 
 def seeds_to_run(first: int, usual: int, requested: int | None) -> range:
-    """Seeds of each arm; requested: by --seeds, None: as many as the study says. Raises DesignError for none."""
+    """Return the seeds of each arm.
+
+    Args:
+        first: The first of them.
+        usual: As many as the study says.
+        requested: As many as --seeds says; None: the option was left out.
+
+    Raises:
+        DesignError: There are none, or more than `MAX_SEEDS`.
+    """
     count = usual if requested is None else requested
+    option = "seeds of the study" if requested is None else "--seeds"
     if count < 1:
-        raise DesignError(f"--seeds is {count}; give 1 or more")
+        raise DesignError(f"{option} is {count}; give 1 or more")
+    if count > MAX_SEEDS:
+        raise DesignError(f"{option} is {count:,}; give {MAX_SEEDS:,} or fewer")
     return range(first, first + count)
 
 

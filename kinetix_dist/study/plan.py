@@ -13,7 +13,16 @@ from kinetix_dist.evaluation.evaluation_sets import check_evaluation_sets
 from kinetix_dist.recipes import recipe
 from kinetix_dist.study.choice import check_arms, seeds_in, seeds_to_run
 from kinetix_dist.study.study_file import FORGETTING, Study
-from kinetix_dist.sweep.arms import SET_BY_SWEEP, Arm, Run, check_options, digests_of, make_run, short_hash
+from kinetix_dist.sweep.arms import (
+    SET_BY_SWEEP,
+    Arm,
+    Run,
+    check_options,
+    digests_of,
+    make_run,
+    seed_by_seed,
+    short_hash,
+)
 from kinetix_dist.sweep.design import DesignError
 
 # Options that no arm sets, and which field of the study says them instead.
@@ -60,13 +69,13 @@ def plan_of(study: Study, *, seeds: int | None = None, arms: Collection[str] = (
     first = study.first_seed
     wanted = seeds_to_run(first, study.seeds, seeds)
     made = [Arm(name=arm.name, options={**study.options, **arm.options}) for arm in study.arms]
-    runs = [_run(study, base, arm, seed) for seed in sorted({*wanted, *seeds_in(path)}) for arm in made]
-    _check_sets(runs)
-    if study.figure.kind == FORGETTING:
-        for run in runs:
-            _check_phases(study, run)
-    chosen = [run for run in runs if run.seed in wanted and (not arms or run.arm.name in arms)]
     first_runs = [_run(study, base, arm, first) for arm in made]
+    _check_sets(first_runs)
+    if study.figure.kind == FORGETTING:
+        for run in first_runs:
+            _check_phases(study, run)
+    runs = seed_by_seed(first_runs, sorted({*wanted, *seeds_in(path)}))
+    chosen = [run for run in runs if run.seed in wanted and (not arms or run.arm.name in arms)]
     return Plan(study=study, runs=tuple(runs), chosen=tuple(chosen), hash=_hash(study, first_runs))
 
 

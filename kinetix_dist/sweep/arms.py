@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -99,8 +99,8 @@ def runs_of(design: Design) -> list[Run]:
         raise DesignError(one_line(error)) from error
     arms, runs = arms_of(design), []
     for is_fold_over, seeds in ((False, design.seeds), (True, design.fold_over_seeds)):
-        half = [arm for arm in arms if arm.is_fold_over == is_fold_over]
-        runs += [_run(design, base, arm, seed) for seed in seeds for arm in half]
+        half = [_run(design, base, arm, seeds[0]) for arm in arms if arm.is_fold_over == is_fold_over]
+        runs += seed_by_seed(half, seeds)
     check_sets(design.objective.sets, {run.config.env.size for run in runs})
     for run in runs:
         if run.config.curriculum.name == "fixed" and run.config.curriculum.levels in design.objective.sets:
@@ -109,6 +109,11 @@ def runs_of(design: Design) -> list[Run]:
                 "change one"
             )
     return runs
+
+
+def seed_by_seed(first: Sequence[Run], seeds: Sequence[int]) -> list[Run]:
+    """Return runs of all arms with all seeds: the first seed of all arms, then the next. first: a run of each arm."""
+    return [run for of_seed in zip(*(with_seeds(run, seeds) for run in first), strict=True) for run in of_seed]
 
 
 def _run(design: Design, base: TrainConfig, arm: Arm, seed: int) -> Run:
@@ -152,6 +157,24 @@ def make_run(base: TrainConfig, arm: Arm, seed: int, forced: Options) -> Run:
     except ValueError as error:  # the sections have errors of their own
         raise DesignError(f"arm {arm.name}: {one_line(error)}") from error
     return Run(arm=arm, seed=seed, options=options, config=config)
+
+
+def with_seeds(run: Run, seeds: Iterable[int]) -> list[Run]:
+    """Return the same run with each of these seeds; options of the arm are checked once. Raises DesignError for a seed
+    that cannot be used."""
+    config = run.config
+    try:
+        return [
+            dataclasses.replace(
+                run,
+                seed=seed,
+                options={**run.options, "run.seed": seed},
+                config=dataclasses.replace(config, run=dataclasses.replace(config.run, seed=seed)),
+            )
+            for seed in seeds
+        ]
+    except ConfigError as error:
+        raise DesignError(f"arm {run.arm.name}: {one_line(error)}") from error
 
 
 def _with_options(data: dict[str, Any], options: Options) -> dict[str, Any]:

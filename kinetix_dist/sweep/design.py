@@ -21,6 +21,8 @@ from typing import Any
 
 from kinetix_dist.config import ConfigError, build, check_finite
 from kinetix_dist.errors import one_line
+from kinetix_dist.near_names import first_shared
+from kinetix_dist.number_ranges import MAX_SEEDS
 from kinetix_dist.text_files import read_toml
 
 FORMAT = 1
@@ -180,6 +182,8 @@ class Design:
         if self.start_seconds < 0:
             raise DesignError(f"start_seconds is {self.start_seconds:g}; it must be 0 or more")
         for what, seeds in (("seeds", self.seeds), ("fold_over_seeds", self.fold_over_seeds)):
+            if len(seeds) > MAX_SEEDS:
+                raise DesignError(f"{what} are {len(seeds):,} numbers; give {MAX_SEEDS:,} or fewer")
             if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
                 raise DesignError(f"{what} are {_listed(seeds)}; give different numbers of 0 or more")
         every = self.objective.every_seconds
@@ -219,12 +223,14 @@ def read_design(path: Path) -> Design:
 
 
 def check_names(names: Sequence[str], what: str) -> None:
-    """Raises DesignError for names that are no file names, or stand twice."""
+    """Raise DesignError for names that are no file names, or of which two would share a directory."""
     for name in names:
         if not NAME.fullmatch(name):
             raise DesignError(f"{what} name {name!r} is none; use letters, digits, _, - and .")
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise DesignError(f"two of them have the {what} name {twice[0]!r}; change one")
+    if shared := first_shared(names):
+        first, second = shared
+        other = "" if first == second else f" or {second!r}, which share a directory on some file systems"
+        raise DesignError(f"two of them have the {what} name {first!r}{other}; change one")
 
 
 def check_option_names(options: Any, what: str) -> None:

@@ -153,6 +153,7 @@ def test_another_command_is_another_design(tmp_path, started):
         ("seeds = 2", "seeds = 0", "seeds is 0"),
         ("minutes = 2.0", "minutes = 0", "minutes is 0"),
         ('name = "bad"', 'name = "good"', "two of them have the arm name 'good'"),
+        ('name = "bad"', 'name = "Good"', "two of them have the arm name 'good' or 'Good'"),
     ],
 )
 def test_a_file_that_is_wrong_gets_one_line(tmp_path, old, new, line):

@@ -1,15 +1,17 @@
 """Files of studies: those of the package, and what is refused, in one line and with exit status 2."""
 
 import dataclasses
+import time
 
 import pytest
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import parse
+from kinetix_dist.config.sections import LAST_SEED
 from kinetix_dist.recipes import recipe
 from kinetix_dist.study.library import STUDIES, study_names
 from kinetix_dist.study.plan import SET_BY_STUDY, plan_of
-from kinetix_dist.sweep.arms import train_arguments
+from kinetix_dist.sweep.arms import make_run, train_arguments
 from tests.study.studies import (
     OF_TRAINING,
     OWN_LENGTH,
@@ -101,6 +103,12 @@ def test_a_file_that_is_none(capsys, tmp_path):
         ('recipe = "tiny"', 'recipe = "tinny"', "unknown recipe 'tinny'; did you mean 'tiny'?"),
         ('reference = "plain"', 'reference = "plan"', "reference 'plan' is no arm; did you mean 'plain'?"),
         ('name = "wide"', 'name = "plain"', "two of them have the arm name 'plain'; change one"),
+        (
+            'name = "wide"',
+            'name = "PLAIN"',
+            "two of them have the arm name 'plain' or 'PLAIN', which",
+        ),
+        ("seeds = 2", "seeds = 1001", "seeds of the study is 1,001; give 1,000 or fewer"),
         ('"ppo.clip"', '"ppo.clp"', "unknown option 'ppo.clp' of arm wide; did you mean 'ppo.clip'?"),
         ("0.3}", '"much"}', "arm wide: config field ppo.clip is 'much'; float is needed"),
         ('["designed_s"]', '["designed_xs"]', "unknown level set 'designed_xs'; did you mean 'designed_s'?"),
@@ -255,3 +263,38 @@ def test_the_small_version_has_its_own_name_and_overrides_arms(tmp_path):
     assert (small.name, small.env_steps, small.seeds, small.sets) == ("mine_small", 128, 1, ("quickstart_s",))
     assert [run.config.ppo.clip for run in plan_of(small).runs] == [0.4, 0.4]
     assert dataclasses.replace(small).small is None
+
+
+# Seeds
+
+
+def test_more_seeds_than_a_plan_checks_are_refused_at_once(tmp_path, capsys):
+    begun = time.monotonic()
+    line = refusal(capsys, write(tmp_path), "--seeds", "1000000", "--plan")
+    assert "--seeds is 1,000,000; give 1,000 or fewer" in line and time.monotonic() - begun < 30.0
+
+
+def test_a_plan_checks_each_arm_once_and_not_each_seed(tmp_path, monkeypatch):
+    made = []
+
+    def counted(*given):
+        made.append(given)
+        return make_run(*given)
+
+    monkeypatch.setattr("kinetix_dist.study.plan.make_run", counted)
+    study = read_study(write(tmp_path))
+    runs = plan_of(study, seeds=200).runs
+    assert len(runs) == 200 * len(study.arms) and len(made) == 2 * len(study.arms)
+    assert [run.name for run in runs[:3]] == ["plain-seed1", "wide-seed1", "plain-seed2"]
+
+
+def test_runs_of_other_seeds_are_those_that_are_made_one_by_one(tmp_path):
+    study = read_study(write(tmp_path))
+    for run in plan_of(study, seeds=3).runs:
+        forced = {name: value for name, value in run.options.items() if name not in run.arm.options}
+        assert run == make_run(recipe(study.recipe), run.arm, run.seed, forced)
+
+
+def test_a_seed_beyond_the_last_one_is_one_line(tmp_path, capsys):
+    content = TEXT.replace("seeds = 2", f"seeds = 2\nfirst_seed = {LAST_SEED}")
+    assert "RunConfig.seed is 4294967296" in refusal(capsys, write(tmp_path, content), "--plan")

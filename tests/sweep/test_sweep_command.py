@@ -131,6 +131,10 @@ ONE_ARM = '[[arms]]\nname = "a"\noptions = {{{}}}\n'
         (FACTORIAL.replace('"ppo.epochs" = 2', "ppo.epochs = 2"), "write full names in quotes"),
         (FACTORIAL + "fold_over_seeds = [1]", "has fold_over_seeds but no fold_over"),
         (ARMS.replace('"wide"', '"plain"'), "two of them have the arm name 'plain'; change one"),
+        (
+            ARMS.replace('"wide"', '"Plain"'),
+            "two of them have the arm name 'plain' or 'Plain', which",
+        ),
         (ARMS.replace('"wide"', '"../wide"'), "arm name '../wide' is none; use letters, digits"),
         (ARMS + "speed = 3", "config field arms.speed is unknown; fields are name, options"),
         (ARMS + "[[arms]]", "config field arms.name is missing"),
