@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from kinetix_dist.atomic_directories import flush_directory, flush_tree, new_directory
 from kinetix_dist.checkpoint.arrays import name_not_finite
 from kinetix_dist.checkpoint.manifest import MANIFEST_NAME, manifest_fault, write_manifest
 from kinetix_dist.installation import data_directory
@@ -90,12 +91,12 @@ def save_checkpoint(
         content = {"format": FORMAT, "num_updates": num_updates, "num_arrays": len(arrays), **description}
         (draft / DESCRIPTION_NAME).write_text(json_text(content, indent=1, sort_keys=True) + "\n")
         write_manifest(draft)
-        _sync(draft)
+        flush_tree(draft)
         if fault := manifest_fault(draft):
             raise CheckpointError(f"checkpoint {final} could not be written: {fault}")
         shutil.rmtree(final, ignore_errors=True)
         os.replace(draft, final)
-        _sync_directory(directory)
+        flush_directory(directory)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         raise
@@ -110,16 +111,15 @@ def save_alone(to: Path, num_updates: int, arrays: Mapping[str, np.ndarray], des
     """
     if to.exists():
         raise CheckpointError(f"{to} exists; choose another path")
-    folder = to.parent / f".{to.name}-draft"
-    try:
-        written = save_checkpoint(folder, num_updates, arrays, description, keep=1)
+    with new_directory(to) as draft:
+        written = save_checkpoint(draft / "saved", num_updates, arrays, description, keep=1)
+        for entry in sorted(written.iterdir()):
+            entry.rename(draft / entry.name)
+        shutil.rmtree(draft / "saved")
         # Orbax notes the absolute path it wrote to, which means nothing elsewhere.
-        for note in written.rglob("commit_success.txt"):
+        for note in draft.rglob("commit_success.txt"):
             note.write_text("Checkpoint commit was successful\n")
-        write_manifest(written)
-        os.replace(written, to)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        write_manifest(draft)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -261,23 +261,6 @@ def _load_arrays(path: Path) -> dict[str, np.ndarray]:
             raise CheckpointError(f"checkpoint {path.parent} has no metadata of its arrays")
         as_numpy = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in metadata.tree}
         return dict(checkpointer.restore(plain, restore_args=as_numpy))
-
-
-def _sync(directory: Path) -> None:
-    for path in directory.rglob("*"):
-        if path.is_file():
-            with path.open("rb") as file:
-                os.fsync(file.fileno())
-        else:
-            _sync_directory(path)
-
-
-def _sync_directory(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def pretrained_names() -> list[str]:

@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
-import shutil
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +21,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from kinetix_dist.atomic_directories import new_directory
 from kinetix_dist.data.columns import Transitions
 from kinetix_dist.data.dataset import Dataset
 from kinetix_dist.data.manifest import DatasetError
@@ -30,6 +29,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.installation import NOT_INSTALLED, version_of
 
 INFO_FIELDS = ("level", "step", "solved", "chosen_by", "log_prob", "policy_version")
+DATA = "data"  # folder of the files, as Minari names it
 MANIFEST_KEY = "kinetix_dist_dataset"
 BLOCK_ROWS = 1 << 14  # rows whose observations are in memory at a time: 25 MB at S, 90 MB at L
 NEEDED = ("minari", "h5py", "gymnasium", "gymnax")
@@ -38,16 +38,25 @@ NEEDED = ("minari", "h5py", "gymnasium", "gymnax")
 def export_minari(
     dataset: Dataset, dataset_id: str, on_shard: Callable[[int, int], None] = lambda *_: None
 ) -> tuple[Path, int]:
-    """(folder, number of episodes) of the Minari data set that is written.
+    """Write a data set of Minari, which appears when it is complete.
 
-    dataset_id: "(namespace/)name-v0", below $MINARI_DATASETS_PATH or Minari's own folder. on_shard: called with the
-    number of shards that are done and that of all. Raises DatasetError without Minari, for an id that is malformed or
-    taken, and for a damaged shard. What was begun is removed then.
+    Args:
+        dataset_id: "(namespace/)name-v0", below $MINARI_DATASETS_PATH or Minari's own folder.
+        on_shard: called with the number of exported shards and the number of all shards.
+
+    Returns:
+        The folder and the number of episodes.
+
+    Raises:
+        DatasetError: Minari is missing, the id is malformed or taken, or a shard is damaged.
+        OSError: the folder cannot be written.
     """
     if missing := [name for name in NEEDED if importlib.util.find_spec(name) is None]:
         raise DatasetError(
             f"{missing[0]} is not installed, which Minari data sets need: pip install 'kinetix-dist[minari]'"
         )
+    from minari.dataset.minari_dataset import parse_dataset_id
+    from minari.namespace import create_namespace, list_local_namespaces
     from minari.storage import get_dataset_path
 
     _check_id(dataset_id)
@@ -55,18 +64,19 @@ def export_minari(
     if folder.exists():
         raise DatasetError(f"{folder} is there already; give another version, such as {_next_version(dataset_id)}")
     env = Environment(dataset.env_config)
-    try:
-        target = None
+    with new_directory(folder) as draft:
+        storage = _new_storage(draft / DATA, dataset, env, dataset_id)
         for number in range(len(dataset.shards)):
             for block in _blocks(dataset.read([number])):
-                target = _add(target, dataset, env, dataset_id, block)
+                _add(storage, dataset, env, block)
             on_shard(number + 1, len(dataset.shards))
-        if target is None:
+        num_episodes = int(storage.total_episodes)
+        if num_episodes == 0:
             raise DatasetError("the data set holds no steps; there is nothing to export")
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return folder, int(target.total_episodes)
+        namespace = parse_dataset_id(dataset_id)[0]
+        if namespace is not None and namespace not in list_local_namespaces():
+            create_namespace(namespace)
+    return folder, num_episodes
 
 
 def _check_id(dataset_id: str) -> None:
@@ -98,16 +108,38 @@ def _blocks(rows: Transitions) -> Iterator[tuple[Transitions, np.ndarray]]:
         first = last
 
 
-def _add(
-    target: Any, dataset: Dataset, env: Environment, dataset_id: str, block: tuple[Transitions, np.ndarray]
-) -> Any:
-    """The Minari data set with the episodes of a block; it is created with those of the first one."""
+def _new_storage(path: Path, dataset: Dataset, env: Environment, dataset_id: str) -> Any:
+    """Return the storage of a data set of Minari without episodes."""
+    import minari
+    from minari.dataset.minari_storage import MinariStorage
+
+    from kinetix_dist.env.wrappers.gymnasium_env import action_space, observation_space
+
+    manifest, own = dataset.manifest, version_of()
+    storage = MinariStorage.new(
+        path,
+        observation_space=observation_space(env),
+        action_space=action_space(env.action_space),
+        data_format="hdf5",
+        jpeg_encoding=False,  # the JPEG encoding of pictures is lossy
+    )
+    storage.update_metadata(
+        {
+            "dataset_id": dataset_id,
+            "minari_version": minari.__version__,
+            "algorithm_name": str(manifest["policy"]["name"]),
+            "description": f"{manifest['policy']['name']} on {manifest['levels']['set']}, collected by kinetix-dist",
+            "requirements": ["kinetix-dist" if own == NOT_INSTALLED else f"kinetix-dist=={own}"],
+            MANIFEST_KEY: manifest,
+        }
+    )
+    return storage
+
+
+def _add(storage: Any, dataset: Dataset, env: Environment, block: tuple[Transitions, np.ndarray]) -> None:
+    """Append the episodes of a block to a storage of Minari."""
     rows, bounds = block
-    episodes = _episodes(env, rows, bounds)
-    if target is None:
-        target = _create(dataset, env, dataset_id, episodes)
-    else:
-        target.update_dataset_from_buffer(episodes)
+    storage.update_episodes(_episodes(env, rows, bounds))
     starts, ends = bounds[:-1], bounds[1:]
     names = dataset.levels.names
     about = [
@@ -118,32 +150,8 @@ def _add(
         }
         for start, end in zip(starts, ends, strict=True)
     ]
-    total = int(target.total_episodes)
-    target.storage.update_episode_metadata(about, range(total - len(about), total))
-    return target
-
-
-def _create(dataset: Dataset, env: Environment, dataset_id: str, episodes: list[Any]) -> Any:
-    import minari
-
-    from kinetix_dist.env.wrappers.gymnasium_env import action_space, observation_space
-
-    manifest, own = dataset.manifest, version_of()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # about author, mail and environment, which nobody gave
-        created = minari.create_dataset_from_buffers(
-            dataset_id,
-            episodes,
-            observation_space=observation_space(env),
-            action_space=action_space(env.action_space),
-            algorithm_name=str(manifest["policy"]["name"]),
-            description=f"{manifest['policy']['name']} on {manifest['levels']['set']}, collected by kinetix-dist",
-            requirements=["kinetix-dist" if own == NOT_INSTALLED else f"kinetix-dist=={own}"],
-            data_format="hdf5",
-            jpeg_encoding=False,  # which would lose what pictures show
-        )
-    created.storage.update_metadata({MANIFEST_KEY: manifest})
-    return created
+    total = int(storage.total_episodes)
+    storage.update_episode_metadata(about, range(total - len(about), total))
 
 
 def _episodes(env: Environment, rows: Transitions, bounds: np.ndarray) -> list[Any]:

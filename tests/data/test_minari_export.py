@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.data import Dataset, DatasetError, minari_export, open_dataset
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.installation import NOT_INSTALLED, version_of
+from tests.helpers import REPOSITORY
 
 ID = "kinetix/random-v0"
 
@@ -122,3 +124,32 @@ def test_without_minari_the_command_says_what_to_install(collected: Path) -> Non
     assert done.stderr.splitlines()[-1].endswith(
         "minari is not installed, which Minari data sets need: pip install 'kinetix-dist[minari]'"
     )
+
+
+KILLED = """
+import os, signal
+from pathlib import Path
+from kinetix_dist.data import open_dataset
+from kinetix_dist.data.minari_export import export_minari
+
+export_minari(open_dataset({data!r}), {name!r}, lambda done, number: os.kill(os.getpid(), signal.{signal}))
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGTERM"])
+def test_a_killed_export_leaves_no_data_set_and_the_same_command_succeeds(
+    root: Path, collected: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    import minari
+
+    code = KILLED.format(data=str(collected), name=ID, signal=name)
+    killed = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, timeout=300, check=False)
+    assert killed.returncode == -signal.Signals[name]
+    assert list(root.glob("**/*.hdf5")), "the process was killed after a shard of the data set was on the disk"
+    with pytest.raises(FileNotFoundError):
+        minari.load_dataset(ID)
+    assert not minari.list_local_datasets()
+    assert main(["data", "export-minari", str(collected), ID]) == 0
+    assert "240 transitions" in capsys.readouterr().out
+    assert minari.load_dataset(ID).total_steps == 240 and list(minari.list_local_datasets()) == [ID]
+    assert len(list(root.glob("**/*.hdf5"))) == 1, "what the killed process left is removed"
