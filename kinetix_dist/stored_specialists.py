@@ -60,9 +60,14 @@ def folder_of(start: str, seed: int | None) -> str:
     return start if seed is None else f"{start}-seed-{seed}"
 
 
+def file_name_of(level: str) -> str:
+    """Return the name of the files of a level, without a suffix: "m/same", one of two levels "same", has no folder."""
+    return level.replace("/", "%2F")
+
+
 def policy_path(path: Path, record: Record) -> Path:
     """Checkpoint of a specialist in the results at `path`."""
-    return path / record["folder"] / record["level"]
+    return path / record["folder"] / file_name_of(record["level"])
 
 
 def read_results(path: Path) -> list[Record]:
@@ -73,7 +78,8 @@ def read_results(path: Path) -> list[Record]:
     if not (path / DESIGN_NAME).is_file():
         raise UserError(f"{path} holds no results of specialists (no {DESIGN_NAME}); give a directory that has them")
     levels = list(read_stored(path / DESIGN_NAME)["levels"])
-    files = [file for file in path.glob("*/*.json") if file.stem in levels]
+    names = {f"{file_name_of(level)}.json" for level in levels}
+    files = [file for file in path.glob("*/*.json") if file.name in names]
     records = [{"seed": 0} | read_stored(file) | {"folder": file.parent.name} for file in files]
     if not records:
         raise UserError(f"{path} holds no finished specialist yet")

@@ -30,6 +30,19 @@ def check_output_file(file: Path, option: str = "") -> None:
         raise UserError(f"cannot write {file}; {verb} {what} in a directory that exists and is writable")
 
 
+def check_output_directory(directory: Path, option: str = "") -> None:
+    """Raise `UserError` if `directory` is a file, lies below a file, or cannot be written.
+
+    The directory need not exist. `option` is the flag that names it, such as "--out".
+    """
+    nearest = next(path for path in (directory, *directory.absolute().parents) if os.path.lexists(path))
+    named = f"{option} {directory}".lstrip() + ("" if nearest == directory else f" is below {nearest}, which")
+    if not nearest.is_dir():
+        raise UserError(f"{named} is a file; give a directory")
+    if not os.access(nearest, os.W_OK):
+        raise UserError(f"{named} is not writable; give another directory")
+
+
 def start_computing(compile_cache: str = "") -> None:
     """Before a command computes anything, and after JAX was held to the CPU where it has to be.
 

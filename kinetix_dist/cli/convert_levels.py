@@ -9,16 +9,19 @@ Of many files each one that is wrong is a line on stderr, the others are convert
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
 import tyro
 
-from kinetix_dist.cli.checks import check_output_file
+from kinetix_dist.atomic_directories import new_directory
+from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.cli.checks import check_output_directory, check_output_file
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, one_line, user_errors
 from kinetix_dist.json_text import json_text
@@ -68,19 +71,14 @@ def run_import(args: Import) -> int:
     if not files:
         found = foreign_files(args.source)
         raise UserError(f"no .json files in {args.source}; give a directory of public level files{found}")
-    _check_directory(args.out)
-
-    def convert(file: Path) -> str:
-        out = args.out / file.relative_to(args.source)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        return _import_file(file, out, None)
-
-    return _convert_all(files, convert, args.out, "imported")
+    check_output_directory(args.out)
+    outputs = {file: file.relative_to(args.source) for file in files}
+    return _convert_all(outputs, lambda file, out: _import_file(file, out, None), args.out, "imported")
 
 
 def run_export(args: Export) -> int:
     """0; of several levels 1 where one could not be exported."""
-    from kinetix_dist.level.sets import files_of_set
+    from kinetix_dist.level.sets import files_of_set, level_names
 
     with user_errors(*_EXPECTED):
         files = files_of_set(args.levels)
@@ -90,31 +88,28 @@ def run_export(args: Export) -> int:
             size = _export_file(files[0], args.out, args.size)
         print(f"wrote {args.out} (size {size})")
         return 0
-    _check_directory(args.out)
-    with user_errors(OSError):
-        args.out.mkdir(parents=True, exist_ok=True)
-    names = Counter(file.name for file in files)
-    if twice := [name for name, count in names.items() if count > 1]:
-        raise UserError(f"{args.levels} has {twice[0]} in more than one folder; export one folder at a time")
-    return _convert_all(files, lambda file: _export_file(file, args.out / file.name, args.size), args.out, "exported")
+    check_output_directory(args.out)
+    outputs = {file: Path(f"{name}.json") for file, name in zip(files, level_names(files), strict=True)}
+    return _convert_all(outputs, lambda file, out: _export_file(file, out, args.size), args.out, "exported")
 
 
-def _convert_all(files: list[Path], convert: Callable[[Path], str], out: Path, done: str) -> int:
+def _convert_all(outputs: Mapping[Path, Path], convert: Callable[[Path, Path], str], out: Path, done: str) -> int:
+    """Convert each file to its path below `out`.
+
+    A new directory appears when all files are converted; a directory that exists gets one file after another.
+    """
     sizes: Counter[str] = Counter()
-    for file in files:
-        try:
-            sizes[convert(file)] += 1
-        except _EXPECTED as error:
-            text = one_line(error)
-            say(text if str(file) in text else f"{file}: {text}", sys.stderr)
+    with user_errors(OSError), new_directory(out) if not out.is_dir() else contextlib.nullcontext(out) as folder:
+        for file, below in outputs.items():
+            try:
+                (folder / below).parent.mkdir(parents=True, exist_ok=True)
+                sizes[convert(file, folder / below)] += 1
+            except _EXPECTED as error:
+                text = one_line(error)
+                say(text if str(file) in text else f"{file}: {text}", sys.stderr)
     counts = ", ".join(f"{sizes[size]} of size {size}" for size in sorted(sizes, key="sml".index))
-    print(f"{done} {sizes.total()} of {len(files)} files into {out}{f' ({counts})' if counts else ''}")
-    return 0 if sizes.total() == len(files) else 1
-
-
-def _check_directory(out: Path) -> None:
-    if out.exists() and not out.is_dir():
-        raise UserError(f"{out} is a file; give a directory to write several levels into")
+    print(f"{done} {sizes.total()} of {len(outputs)} files into {out}{f' ({counts})' if counts else ''}")
+    return 0 if sizes.total() == len(outputs) else 1
 
 
 def _import_file(file: Path, out: Path, name: str | None) -> str:
@@ -144,7 +139,7 @@ def _export_file(file: Path, out: Path, size: str | None) -> str:
         document = export_kinetix(fit_level(level, capacity_of_size(size)), info.public_walls)
     except ValueError as error:
         raise ValueError(f"{file}: {one_line(error)}") from error
-    out.write_text(json_text(document), encoding="utf-8")
+    replace_file(out, json_text(document).encode())
     return size
 
 

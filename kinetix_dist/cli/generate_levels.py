@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from kinetix_dist import prng
-from kinetix_dist.cli.checks import check_seed
+from kinetix_dist.atomic_directories import new_directory
+from kinetix_dist.cli.checks import check_output_directory, check_seed
 from kinetix_dist.errors import UserError, user_errors
 
 if TYPE_CHECKING:
@@ -52,18 +53,15 @@ class Generate:
 
 
 def run_generate(args: Generate) -> int:
-    """0 when all levels are written; nothing is written where they cannot be drawn."""
+    """Write all levels or none; return 0."""
     _check(args)
     from kinetix_dist.cli.checks import start_computing
 
     start_computing("")
-    with user_errors(ValueError, OSError):
-        args.out.mkdir(parents=True, exist_ok=True)  # before the work, not after it
-        if any(args.out.iterdir()):
-            raise UserError(f"{args.out} is not empty; name a new directory")
+    with user_errors(ValueError, OSError), new_directory(args.out) as draft:  # before the work, not after it
         source, size, prefix = _source(args)
         levels, num_drawn, num_solved = _draw(args, source)
-        _write(args.out, levels, size, prefix)
+        _write(draft, levels, size, prefix)
     print(
         f"wrote {args.count} levels of size {size} to {args.out}; of {num_drawn} drawn {num_solved} solve themselves "
         "and are left out"
@@ -83,8 +81,7 @@ def _check(args: Generate) -> None:
         raise UserError(f"--size is for random levels; with --{given[0]} levels have the size of what they come from")
     if args.steps is not None and args.like is None:
         raise UserError("--steps is for the autoencoder of --like; give a set of levels or leave it out")
-    if args.out.exists() and not args.out.is_dir():
-        raise UserError(f"{args.out} is a file; give a directory")
+    check_output_directory(args.out)
 
 
 def _source(args: Generate) -> tuple[LevelGenerator, str, str]:

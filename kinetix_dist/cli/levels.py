@@ -89,7 +89,7 @@ def run(args: Any) -> int:
 
 
 def _list(args: List) -> None:
-    from kinetix_dist.level.sets import RANDOM_SETS, designed_sets, files_of_set
+    from kinetix_dist.level.sets import RANDOM_SETS, designed_sets, files_of_set, level_names
 
     if args.set is None:
         rows = [
@@ -106,7 +106,8 @@ def _list(args: List) -> None:
             for name, drawn in RANDOM_SETS.items()
         ]
     else:
-        rows = [_row(path) for path in files_of_set(args.set)]
+        files = files_of_set(args.set)
+        rows = [_row(name, file) for name, file in zip(level_names(files), files, strict=True)]
     if args.json:
         print(json_text(rows, indent=2))
         return
@@ -114,18 +115,20 @@ def _list(args: List) -> None:
     widths = {key: max(len(key), *(len(str(row[key])) for row in rows)) for key in columns[:-1]}
     for row in [dict(zip(columns, columns)), *rows]:
         cells = [f"{row[key]!s:<{width}}" for key, width in widths.items()]
-        print("  ".join([*cells, str(row[columns[-1]])]))
+        print("  ".join([*cells, str(row[columns[-1]])]).rstrip())
 
 
-def _row(path: Path) -> dict[str, Any]:
+def _row(name: str, file: Path) -> dict[str, Any]:
+    """Return what the list shows of a level: its name in results, its size, and the file that commands accept."""
     from kinetix_dist.level.fit import smallest_size, usage
 
-    level, info = _read(path)
+    level, info = _read(file)
     return {
-        "level": info.name,
+        "level": name,
         "size": smallest_size(level),
         **usage(level),
-        "description": info.description or str(path),
+        "file": str(file),
+        "description": info.description,
     }
 
 

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from kinetix_dist.cli.checks import check_seed
+from kinetix_dist.cli.checks import check_output_directory, check_seed
 from kinetix_dist.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
@@ -110,27 +110,27 @@ def _check(args: Solve) -> None:
         raise UserError("--check searches nothing; leave --again, --method and --checkpoint out")
     if args.picture is not None and not args.check:
         raise UserError("--picture draws what --check replays; give --check too")
-    if args.proofs is not None and args.proofs.exists() and not args.proofs.is_dir():
-        raise UserError(f"--proofs {args.proofs} is a file; give a directory")
+    if args.proofs is not None:
+        check_output_directory(args.proofs, "--proofs")
 
 
 def proof_tasks(args: Solve) -> list[ProofTask]:
     """One of each requested level. Raises ValueError or OSError for what is no level or has no files."""
     from kinetix_dist.level.fit import capacity_of_size, fit_level
     from kinetix_dist.level.proof import proof_path
-    from kinetix_dist.level.sets import files_of_set, read_level
+    from kinetix_dist.level.sets import files_of_set, level_names, read_level
     from kinetix_dist.level.validate import read_document
 
-    tasks = []
-    for file in files_of_set(args.levels):
+    tasks, files = [], files_of_set(args.levels)
+    for file, name in zip(files, level_names(files), strict=True):
         level, info = read_level(file)
         tasks.append(
             ProofTask(
-                name=info.name,
+                name=name,
                 size=info.size,
                 level=fit_level(level, capacity_of_size(info.size)),
                 document=read_document(file),
-                proof_file=proof_path(file, args.proofs),
+                proof_file=proof_path(file) if args.proofs is None else args.proofs / f"{name}.json",
             )
         )
     return tasks

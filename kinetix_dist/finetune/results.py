@@ -36,7 +36,7 @@ from kinetix_dist.json_text import json_text
 from kinetix_dist.level.fingerprints import fingerprint
 from kinetix_dist.level.level import Level
 from kinetix_dist.runtime import LOCK_NAME, RunDirectoryError, lock_directory, versions
-from kinetix_dist.stored_specialists import DESIGN_NAME, FORMAT, Record, digest_of, folder_of, read_stored
+from kinetix_dist.stored_specialists import DESIGN_NAME, FORMAT, Record, digest_of, file_name_of, folder_of, read_stored
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -157,7 +157,7 @@ class ResultsDirectory:
 
 def file_of(path: Path, key: Key) -> Path:
     """Figures of a specialist in the results at `path`."""
-    return path / folder_of(key.start.name, key.seed) / f"{key.level}.json"
+    return path / folder_of(key.start.name, key.seed) / f"{file_name_of(key.level)}.json"
 
 
 def _is_held_by_parent(path: Path) -> bool:

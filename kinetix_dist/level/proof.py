@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.json_text import json_text
 from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.structure import LevelFormatError, check_structure, read_document
@@ -52,11 +53,8 @@ def level_hash(document: dict[str, Any]) -> str:
     return hashlib.sha256(json_text(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def proof_path(level_file: Path, directory: Path | None = None) -> Path:
-    """File of the proof of a level: in `directory` if given; levels/proofs/SIZE/NAME.json of a designed level; else
-    beside the level file."""
-    if directory is not None:
-        return directory / level_file.name
+def proof_path(level_file: Path) -> Path:
+    """Return the file of the proof: levels/proofs/SIZE/NAME.json of a designed level, else one next to the level."""
     root = levels_root().resolve()
     file = level_file.resolve()
     if file.is_relative_to(root):
@@ -89,7 +87,7 @@ def read_proof(path: Path) -> Proof:
 
 
 def write_proof(path: Path, proof: Proof) -> None:
-    """Writes a proof, its directory too; reading it back gives the same actions."""
+    """Writes a proof, whole or not at all, and its directory; reading it back gives the same actions."""
     document = {
         "format": FORMAT_NAME,
         "version": FORMAT_VERSION,
@@ -99,7 +97,7 @@ def write_proof(path: Path, proof: Proof) -> None:
     }
     document = {key: value for key, value in document.items() if value not in ("", None)}
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json_text(document, indent=2) + "\n", encoding="utf-8")
+    replace_file(path, json_text(document, indent=2).encode() + b"\n")
 
 
 def check_proof_is_of(

@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from jax2d.scene import Capacity
+from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.level.canonical import in_order, turn_round, turned_colours
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.document import COLLISION_NAMES, JOINT_KINDS, LevelInfo, dump_document, level_to_json
@@ -52,10 +53,10 @@ def load_level(path: str | Path, size: str | None = None) -> tuple[Level, LevelI
 
 
 def save_level(level: Level, path: str | Path, info: LevelInfo) -> None:
-    """Writes one level; its document is validated first, so a file that exists can be loaded."""
+    """Writes one level, whole or not at all; its document is validated first, so a file that exists can be loaded."""
     document = level_to_json(level, info)
     level_from_json(document)
-    Path(path).write_text(dump_document(document), encoding="utf-8")
+    replace_file(Path(path), dump_document(document).encode())
 
 
 def level_from_json(document: Any, size: str | Capacity | None = None) -> Level:

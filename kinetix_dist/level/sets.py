@@ -16,7 +16,9 @@ develop with, which share no random level with them, so that published results h
 from __future__ import annotations
 
 import dataclasses
+import os
 import warnings
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -224,6 +226,18 @@ def files_of_set(name: str) -> list[Path]:
     raise ValueError(f"unknown level set {name!r}; {hint}")
 
 
+def level_names(files: Sequence[Path]) -> list[str]:
+    """Return a name for each file that no other file of the sequence has.
+
+    The name is the stem, "same"; of files with equal stems it is the path below their common directory, "m/same".
+    """
+    stems = Counter(file.stem for file in files)
+    common = Path(os.path.commonpath([file.parent for file in files]))
+    return [
+        file.stem if stems[file.stem] == 1 else file.relative_to(common).with_suffix("").as_posix() for file in files
+    ]
+
+
 def level_files(directory: Path, pattern: str) -> list[Path]:
     """Files of a directory that should hold levels: not proofs in the same directory, and not other level data."""
     return [path for path in data_files(directory, pattern) if not path.name.endswith(PROOF_SUFFIX)]
@@ -287,4 +301,4 @@ def _stack(files: Sequence[Path], size: str | None) -> tuple[Level, list[str]]:
             fitted.append(fit_level(level, capacity_of_size(size)))
         except LevelSizeError as error:
             raise LevelSizeError(f"{file}: {error}") from None
-    return stack_worlds(fitted), [file.stem for file in files]
+    return stack_worlds(fitted), level_names(files)

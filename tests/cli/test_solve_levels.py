@@ -40,19 +40,19 @@ def test_what_is_found_is_stored_beside_the_level_and_checked(
     level_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     status, lines = command(capsys, str(level_file), "--check")
-    assert status == 1 and "trapdoor: there is no proof" in lines[0]
+    assert status == 1 and "mine: there is no proof" in lines[0]
     status, lines = command(capsys, str(level_file), "--seconds", "20", "--worlds", "64")
     stored = level_file.with_name("mine.proof.json")
-    assert status == 0 and lines[0].startswith("trapdoor: solved in ") and lines[0].endswith(f"wrote {stored}")
+    assert status == 0 and lines[0].startswith("mine: solved in ") and lines[0].endswith(f"wrote {stored}")
     steps = json.loads(stored.read_text())["num_steps"]
 
     status, lines = command(capsys, str(level_file))
-    assert status == 0 and lines[0] == f"trapdoor: has a proof of {steps} steps (--again searches for another)"
+    assert status == 0 and lines[0] == f"mine: has a proof of {steps} steps (--again searches for another)"
     picture = level_file.with_name("end.png")
     status, lines = command(capsys, str(level_file), "--check", "--picture", str(picture))
     share = r"also from (\d+)% of slightly different starts"
     assert status == 0
-    assert (found := re.fullmatch(rf"trapdoor: solved in {steps} steps, {share} \(the proof: (\d+)%\)", lines[0]))
+    assert (found := re.fullmatch(rf"mine: solved in {steps} steps, {share} \(the proof: (\d+)%\)", lines[0]))
     assert abs(int(found[1]) - int(found[2])) < 20  # of 64 starts, and not those of the search
     assert picture.read_bytes().startswith(b"\x89PNG")
 
@@ -80,13 +80,13 @@ def test_actions_that_do_not_solve_are_found_out(level_file: Path, capsys: pytes
     proof |= {"actions": "5*000000", "num_steps": 5}
     level_file.with_name("mine.proof.json").write_text(json.dumps(proof))
     status, lines = command(capsys, str(level_file), "--check")
-    assert status == 1 and "trapdoor: the proof claims to solve it in 5 steps; replayed, it is" in lines[0]
+    assert status == 1 and "mine: the proof claims to solve it in 5 steps; replayed, it is" in lines[0]
 
 
 def test_a_level_that_is_not_solved_says_what_was_tried(level_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     level_file.write_text(level_file.read_text().replace('"role": "green"', '"role": "green", "fixed": true'))
     status, lines = command(capsys, str(level_file), "--seconds", "2", "--worlds", "64")
-    assert status == 1 and lines[0].startswith("trapdoor: not solved in ")
+    assert status == 1 and lines[0].startswith("mine: not solved in ")
     assert all(f"{method}: " in lines[0] for method in ("random", "cem", "best_first"))
     assert lines[1] == "0 of 1 levels have a proof" and not level_file.with_name("mine.proof.json").exists()
 

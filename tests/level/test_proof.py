@@ -93,4 +93,3 @@ def test_proofs_of_designed_levels_lie_apart_and_those_of_others_beside_their_le
     monkeypatch.setenv("KINETIX_DIST_LEVELS", str(tmp_path / "levels"))
     assert proof_path(tmp_path / "levels/s/a.json") == tmp_path / "levels/proofs/s/a.json"
     assert proof_path(tmp_path / "mine/a.json") == tmp_path / "mine/a.proof.json"
-    assert proof_path(tmp_path / "mine/a.json", tmp_path / "there") == tmp_path / "there/a.json"
