@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import concurrent.futures
 import dataclasses
-import fcntl
 import hashlib
 import time
 from collections.abc import Callable, Iterator
@@ -31,7 +30,7 @@ from kinetix_dist.data import level_file, manifest
 from kinetix_dist.data.columns import Transitions, to_parquet
 from kinetix_dist.data.manifest import DatasetError
 from kinetix_dist.data.rollout import Disturbance, Played, play
-from kinetix_dist.data.shards import INDEX, Shard, read_index, write_shard
+from kinetix_dist.data.shards import INDEX, Shard, locked_index, read_index, write_shard
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.env.level_pool import LevelPool
 from kinetix_dist.evaluation.policies import Player
@@ -129,7 +128,7 @@ def collect(
     described = level_file.describe_levels(collection.env, collection.levels, collection.level_names)
     content = level_file.encode_levels(described)
     with opened_folder(folder, collection.manifest(content), content):
-        missing = missing_shards(folder, num_shards)
+        missing = missing_shards(folder, num_shards, collection.rows_per_shard)
         pool = LevelPool(collection.env, collection.levels)
         began = time.monotonic()
         # A thread, not a process: Arrow, zstd, SHA-256 and the disk run without Python's lock.
@@ -142,7 +141,7 @@ def collect(
                 writing = writer.submit(_write, collection, folder, number, played)
             if writing is not None:
                 on_shard(writing.result(), time.monotonic() - began)
-    return read_index(folder)
+    return read_index(folder, collection.rows_per_shard).shards
 
 
 @contextmanager
@@ -151,11 +150,7 @@ def opened_folder(folder: Path, wanted: dict[str, Any], levels_content: bytes) -
     holds something else."""
     _check_folder(folder, wanted)
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / INDEX).open("ab") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise DatasetError(f"{folder} is being written by another process; wait for it, or name another") from None
+    with locked_index(folder, wanted["shard_transitions"]):
         if not _check_folder(folder, wanted):
             level_file.write_levels(folder, levels_content)
             manifest.write_manifest(folder, wanted)  # last: with it the folder is a data set
@@ -176,9 +171,9 @@ def _check_folder(folder: Path, wanted: dict[str, Any]) -> bool:
     return False
 
 
-def missing_shards(folder: Path, num_shards: int) -> list[int]:
-    """Numbers of the shards below `num_shards` that are not there."""
-    there = {shard.shard for shard in read_index(folder) if _is_there(folder, shard)}
+def missing_shards(folder: Path, num_shards: int, max_rows: int) -> list[int]:
+    """Return the numbers below `num_shards` whose shards are missing. max_rows: as of `read_index`."""
+    there = {shard.shard for shard in read_index(folder, max_rows).shards if _is_there(folder, shard)}
     return [number for number in range(num_shards) if number not in there]
 
 

@@ -1,11 +1,12 @@
 """Columns of a shard: transitions as an Arrow table, a row each, and back.
 
-An array of more than one number a transition is a list of fixed size in its column, in row-major order; the manifest
-has its shape.
+A column with more than one number a transition holds lists of a fixed size, in row-major order; the manifest has their
+shapes.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -17,12 +18,12 @@ from kinetix_dist.checkpoint import flatten_arrays, unflatten_arrays
 from kinetix_dist.data.manifest import column_of, named_shapes
 
 COMPRESSION = "zstd"
-# Byte i of all numbers side by side: exponents of neighbours are alike, and zstd finds that.
+# Stores byte i of all numbers together: neighbours have similar exponents, which zstd compresses well.
 SPLIT_BYTES = "BYTE_STREAM_SPLIT"
 
 
 class Transitions(NamedTuple):
-    """N transitions of L levels, rows of an episode side by side in the order of its steps."""
+    """N transitions of L levels; the rows of an episode are contiguous, in the order of its steps."""
 
     static_obs: Any  # [L, ...] of each level
     dynamic_obs: Any  # [N, ...], what the policy saw before it acted
@@ -41,14 +42,18 @@ class Transitions(NamedTuple):
 
 
 ROW_FIELDS = tuple(name for name in Transitions._fields if name not in ("static_obs", "dynamic_obs"))
-COLUMN_NAMES = {  # where they differ
-    "actions": "action",
-    "rewards": "reward",
-}
+ACTION, REWARD = "action", "reward"
+COLUMN_NAMES = {"actions": ACTION, "rewards": REWARD}  # of the fields whose columns have other names
+ROW_TYPES = (  # of the columns but those of actions and observations
+    dict.fromkeys(("done", "solved", "timed_out", "first"), np.bool_)
+    | dict.fromkeys((REWARD, "log_prob"), np.float32)
+    | dict.fromkeys(("level", "step", "policy_version"), np.int32)
+    | {"chosen_by": np.int8, "episode": np.int64}
+)
 
 
 def to_parquet(rows: Transitions) -> bytes:
-    """Content of a shard: the same rows give the same bytes."""
+    """Return the content of a shard. The same rows give the same bytes."""
     arrays = {COLUMN_NAMES.get(name, name): getattr(rows, name) for name in ROW_FIELDS}
     arrays = {column_of(name): array for name, array in flatten_arrays(rows.dynamic_obs).items()} | arrays
     table = pa.table({name: _column(array) for name, array in arrays.items()})
@@ -66,23 +71,38 @@ def to_parquet(rows: Transitions) -> bytes:
     return sink.getvalue().to_pybytes()
 
 
-def from_parquet(content: bytes, static_obs: Any, shapes: Any) -> Transitions:
-    """shapes: `observation_shapes` of the dynamic observation. Raises KeyError, ValueError or pa.ArrowException for
-    content that is not of that."""
-    table = pq.read_table(pa.BufferReader(content))
-    num_rows = table.num_rows
+def from_parquet(content: bytes, static_obs: Any, shapes: Any, *, num_rows: int | None = None) -> Transitions:
+    """Return the rows of a shard.
+
+    Args:
+        content: the file.
+        static_obs: [L, ...] of each level, for the result.
+        shapes: `observation_shapes` of the dynamic observation.
+        num_rows: that the file must have; `None` if any number is valid.
+
+    Raises:
+        ValueError, pa.ArrowException: the content is damaged, or its columns are not those of a shard.
+    """
+    file = pq.ParquetFile(pa.BufferReader(content))
+    if num_rows is not None and file.metadata.num_rows != num_rows:
+        raise ValueError(f"it has {file.metadata.num_rows:,} rows, and {num_rows:,} in the index")
     named = named_shapes(shapes)
+    expected = {column_of(name): _arrow_type(leaf.dtype, leaf.shape[1:]) for name, leaf in named.items()}
+    expected |= {name: pa.from_numpy_dtype(dtype) for name, dtype in ROW_TYPES.items()}
+    for name, arrow_type in expected.items():
+        _check_type(file.schema_arrow, name, arrow_type)
+    _check_type(file.schema_arrow, ACTION)
+    table = file.read(columns=[*expected, ACTION])
     dynamic = {
-        name: _array(table, column_of(name)).reshape(num_rows, *leaf.shape[1:]).astype(leaf.dtype, copy=False)
-        for name, leaf in named.items()
+        name: _array(table, column_of(name)).reshape(table.num_rows, *leaf.shape[1:]) for name, leaf in named.items()
     }
-    wanted = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((num_rows, *leaf.shape[1:]), leaf.dtype), shapes)
+    wanted = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((table.num_rows, *leaf.shape[1:]), leaf.dtype), shapes)
     fields = {name: _array(table, COLUMN_NAMES.get(name, name)) for name in ROW_FIELDS}
     return Transitions(static_obs=static_obs, dynamic_obs=unflatten_arrays(wanted, dynamic), **fields)
 
 
 def joined(parts: list[Transitions]) -> Transitions:
-    """Rows of several shards, in their order."""
+    """Return the rows of several shards, in their order."""
     if len(parts) == 1:
         return parts[0]
     first = parts[0]
@@ -91,7 +111,7 @@ def joined(parts: list[Transitions]) -> Transitions:
 
 
 def picked(rows: Transitions, index: Any) -> Transitions:
-    """Rows of these numbers, or where a mask is True."""
+    """Return the rows that an index or a mask selects."""
     return jax.tree.map(lambda x: x[index], rows._replace(static_obs=None))._replace(static_obs=rows.static_obs)
 
 
@@ -107,10 +127,29 @@ def _leaf(name: str, array: np.ndarray) -> str:
     return name if array.ndim == 1 else f"{name}.list.element"
 
 
+def _arrow_type(dtype: Any, shape: tuple[int, ...]) -> pa.DataType:
+    """Return the type of a column with arrays of this shape in its rows."""
+    value = pa.from_numpy_dtype(np.dtype(dtype))
+    return pa.list_(value, math.prod(shape)) if shape else value
+
+
+def _check_type(schema: pa.Schema, name: str, expected: pa.DataType | None = None) -> None:
+    """Raise ValueError for a column that is missing or of another type; `None`: numbers or lists of a fixed size."""
+    if schema.names.count(name) != 1:
+        raise ValueError(f"column {name} is missing" if name not in schema.names else f"column {name} comes twice")
+    found = schema.field(name).type
+    if expected is None:
+        value = found.value_type if pa.types.is_fixed_size_list(found) else found
+        if not (pa.types.is_integer(value) or pa.types.is_floating(value)):
+            raise ValueError(f"column {name} has {found}, not numbers")
+    elif not found.equals(expected):
+        raise ValueError(f"column {name} has {found}, not {expected}")
+
+
 def _array(table: pa.Table, name: str) -> np.ndarray:
-    if name not in table.column_names:
-        raise KeyError(f"column {name} is missing")
     column = table.column(name).combine_chunks()
-    if pa.types.is_fixed_size_list(column.type):
-        return column.flatten().to_numpy(zero_copy_only=False).reshape(table.num_rows, -1)
-    return column.to_numpy(zero_copy_only=False)
+    values = column.flatten() if pa.types.is_fixed_size_list(column.type) else column
+    if column.null_count or values.null_count:
+        raise ValueError(f"column {name} has {column.null_count or values.null_count:,} missing values")
+    array = values.to_numpy(zero_copy_only=False)
+    return array if values is column else array.reshape(table.num_rows, -1)

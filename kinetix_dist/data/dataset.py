@@ -11,6 +11,7 @@ Each shard is held to its SHA-256 when it is read.
 from __future__ import annotations
 
 import functools
+import operator
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -22,9 +23,11 @@ import pyarrow as pa
 from kinetix_dist.data.columns import Transitions, from_parquet, joined, picked
 from kinetix_dist.data.level_file import Levels, read_levels
 from kinetix_dist.data.manifest import DatasetError, check_env, env_config_of, observation_shapes, read_manifest
-from kinetix_dist.data.shards import INDEX, Shard, read_content, read_index
+from kinetix_dist.data.row_checks import fault_of_rows
+from kinetix_dist.data.shards import INDEX, REMEDY, Shard, read_content, read_index
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.errors import one_line
 from kinetix_dist.level.fingerprints import is_in_order
 from kinetix_dist.level.level import Level
 
@@ -36,9 +39,17 @@ class Dataset:
         self.folder = folder
         self.manifest = read_manifest(folder)
         self.env_config = env_config_of(self.manifest, folder)
-        self.shards: list[Shard] = read_index(folder)
-        self.skipped: list[str] = []  # shards that were missing or damaged when they were read, a line each
+        index = read_index(folder, self.manifest["shard_transitions"])
+        self.shards: list[Shard] = index.shards
+        # One line for each shard that was missing or damaged when it was read, and for each fault of the index.
+        self.skipped: list[str] = index.faults
         self._skip_damaged = skip_damaged
+        if index.faults and not skip_damaged:
+            more = f" and {len(index.faults) - 1} more faults" if len(index.faults) > 1 else ""
+            raise DatasetError(
+                f"{index.faults[0]}{more}; run the command that made the data set again, or leave the rows out with "
+                "skip_damaged"
+            )
         if not self.shards:
             raise DatasetError(
                 f"data set {folder} has no whole shard ({INDEX}); `kinetix-dist collect` goes on with it"
@@ -76,19 +87,38 @@ class Dataset:
             raise DatasetError(f"{text}, and {name!r} has other levels; give that one, or another data set")
 
     def read(self, shards: Sequence[int] | None = None) -> Transitions:
-        """Transitions of all shards, or of those at these places of `shards`; episodes are contiguous."""
-        parts = self._parts(range(len(self.shards)) if shards is None else shards)
+        """Return the transitions of all shards, or of those at these places of `shards`; episodes are contiguous.
+
+        Raises:
+            DatasetError: a shard is damaged or missing and not skipped, or none is left.
+        """
+        numbers = range(len(self.shards)) if shards is None else shards
+        if wrong := [number for number in numbers if not 0 <= number < len(self.shards)]:
+            raise DatasetError(f"data set {self.folder} has shards 0 to {len(self.shards) - 1}, and no {wrong[0]}")
+        parts = self._parts(numbers)
         if not parts:
-            raise DatasetError(f"data set {self.folder}: all {len(self.skipped)} shards to read are damaged or missing")
+            raise DatasetError(f"data set {self.folder}: all {len(numbers)} shards to read are damaged or missing")
         return joined(parts)
 
     def batches(self, batch_size: int, *, seed: int, shards_at_once: int = 4) -> Iterator[Transitions]:
-        """One pass over all transitions in random order, in batches of one size; the rows that fill none are left out.
+        """Return one pass over all transitions in random order, in batches of one size.
 
-        Shards come in random order, and rows of `shards_at_once` of them are mixed: that many are in memory.
+        Shards come in random order. The rows of `shards_at_once` of them are in memory and mixed. Rows that do not fill
+        a batch are left out.
+
+        Raises:
+            DatasetError: at once for a size that no batch can have, in the pass as `read`.
         """
-        rng = np.random.default_rng(seed)
-        order, rest = rng.permutation(len(self.shards)), None
+        if not 1 <= batch_size <= len(self):
+            raise DatasetError(
+                f"batch_size is {batch_size:,}; give 1 to {len(self):,}, the transitions of data set {self.folder}"
+            )
+        if shards_at_once < 1:
+            raise DatasetError(f"shards_at_once is {shards_at_once}; it must be 1 or more")
+        return self._batches(operator.index(batch_size), np.random.default_rng(seed), shards_at_once)
+
+    def _batches(self, batch_size: int, rng: np.random.Generator, shards_at_once: int) -> Iterator[Transitions]:
+        order, rest, is_filled = rng.permutation(len(self.shards)), None, False
         for start in range(0, len(order), shards_at_once):
             found = [*([] if rest is None else [rest]), *self._parts(order[start : start + shards_at_once])]
             if not found:
@@ -98,7 +128,12 @@ class Dataset:
             num_whole = len(rows.level) // batch_size * batch_size
             for first in range(0, num_whole, batch_size):
                 yield picked(rows, slice(first, first + batch_size))
-            rest = picked(rows, slice(num_whole, None))
+            rest, is_filled = picked(rows, slice(num_whole, None)), is_filled or num_whole > 0
+        if not is_filled:
+            number = 0 if rest is None else len(rest.level)
+            raise DatasetError(
+                f"data set {self.folder}: the {number:,} transitions that can be read fill no batch of {batch_size:,}"
+            )
 
     def _parts(self, numbers: Iterable[int]) -> list[Transitions]:
         """Rows of each of these shards but for those that are skipped, read by several threads."""
@@ -120,9 +155,15 @@ class Dataset:
     def _part(self, shard: Shard, static_obs: Any, shapes: Any) -> Transitions:
         content = read_content(self.folder, shard)
         try:
-            return from_parquet(content, static_obs, shapes)
-        except (KeyError, ValueError, pa.ArrowException) as error:
-            raise DatasetError(f"shard {self.folder / shard.file} is of another version: {error}") from None
+            rows = from_parquet(content, static_obs, shapes, num_rows=shard.rows)
+        except (ValueError, OSError, pa.ArrowException) as error:  # Arrow raises OSError for damaged pages
+            fault: str | None = one_line(error)
+        else:
+            first_row = shard.shard * self.manifest["shard_transitions"]
+            fault = fault_of_rows(rows, shard, self._env.action_space, first_row)
+            if fault is None:
+                return rows
+        raise DatasetError(f"shard {self.folder / shard.file} holds no valid transitions: {fault}{REMEDY}")
 
 
 def open_dataset(folder: str | Path, *, skip_damaged: bool = False) -> Dataset:

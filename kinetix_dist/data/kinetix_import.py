@@ -112,12 +112,13 @@ def import_offline(
     described = level_file.describe_levels(chosen.env, chosen.levels, chosen.names)
     content = level_file.encode_levels(described)
     num_shards = -(-len(chosen.numbers) // per_shard)
+    max_rows = per_shard * source.num_steps
     with opened_folder(folder, _manifest(source, chosen, content, per_shard), content):
-        for number in missing_shards(folder, num_shards):
+        for number in missing_shards(folder, num_shards, max_rows):
             rows = rows_of(source, chosen, number * per_shard, min((number + 1) * per_shard, len(chosen.numbers)))
             counts = {"rows": len(rows.done), "episodes": int(rows.done.sum()), "solved": int(rows.solved.sum())}
             on_shard(write_shard(folder, number, to_parquet(rows), counts), num_shards)
-    return read_index(folder)
+    return read_index(folder, max_rows).shards
 
 
 def rows_of(source: KinetixOffline, chosen: Chosen, start: int, stop: int) -> Transitions:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -100,7 +101,7 @@ def read_levels(folder: Path, env: Environment, sha256: str) -> Levels:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        num_levels = len(arrays["names"])
+        num_levels = _check_tables(arrays, env)
         levels = jax.tree.map(
             lambda x: jax.ShapeDtypeStruct((num_levels, *np.shape(x)), np.asarray(x).dtype), empty_level(env.capacity)
         )
@@ -111,5 +112,17 @@ def read_levels(folder: Path, env: Environment, sha256: str) -> Levels:
             robot_mask=arrays["robot_mask"],
             bound_heads=arrays["bound_heads"],
         )
-    except (ArrayMismatchError, KeyError, ValueError, zipfile.BadZipFile) as error:
+    except (ArrayMismatchError, KeyError, ValueError, OSError, EOFError, zlib.error, zipfile.BadZipFile) as error:
         raise DatasetError(f"{path} is not of this environment, or of another version: {error}") from None
+
+
+def _check_tables(arrays: dict[str, np.ndarray], env: Environment) -> int:
+    """Return the number of levels. Raise KeyError or ValueError if what is stored a level has another shape."""
+    names = arrays["names"]
+    if names.dtype.kind != "U" or names.ndim != 1 or not len(names):
+        raise ValueError("names has no text a level")
+    for name, width in (("robot_mask", env.capacity.shapes), ("bound_heads", env.action_space.num_dimensions)):
+        array, shape = arrays[name], (len(names), width)
+        if array.dtype != bool or array.shape != shape:
+            raise ValueError(f"{name} is {array.dtype} {list(array.shape)}, not bool {list(shape)}")
+    return len(names)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,10 @@ FILE = "dataset.json"
 FORMAT = "kinetix-dist-dataset"
 VERSION = 1
 ABOUT_ONLY = ("package",)  # entries that may differ between two runs of one collection
+# Names of contents: entries that may differ if the other entries of their table are equal.
+LABELS = {"levels": "set", "policy": "name"}
+HASH = "sha256"  # of the contents of such a table; a policy without parameters has "", and only its name
+PATTERNS = {HASH: re.compile(r"[0-9a-f]{64}"), "fingerprint": re.compile(r"[0-9a-f]{4}\.-?\d+( [0-9a-f]{4}\.-?\d+)*")}
 MAX_TEXT = 120  # characters of a difference
 
 
@@ -111,7 +116,30 @@ def read_manifest(folder: Path) -> dict[str, Any]:
             f"{path} has format version {number}, and this version of kinetix-dist reads {VERSION}; "
             f"it was written by kinetix-dist {manifest.get('package')}"
         )
+    if fault := _fault(manifest):
+        raise DatasetError(f"{path} is damaged: {fault}; copy the data set again, or make it again in another folder")
     return manifest
+
+
+def _fault(manifest: Mapping[str, Any]) -> str | None:
+    """Return what the reader of a data set misses in a manifest; `None` if that is nothing."""
+    for name, kind in (("env", dict), ("physics", str), ("levels", dict), ("policy", dict), ("shard_transitions", int)):
+        if type(manifest.get(name)) is not kind:
+            return f"{name} is missing or of another type"
+    levels = manifest["levels"]
+    for table, name, kind in (
+        ("levels", "set", str),
+        ("levels", "number", int),
+        *(("levels", name, str) for name in PATTERNS),
+        ("policy", "name", str),
+    ):
+        if type(manifest[table].get(name)) is not kind:
+            return f"{table}.{name} is missing or of another type"
+    if levels["number"] < 1 or manifest["shard_transitions"] < 1:
+        return "a data set has at least one level and one transition a shard"
+    if wrong := [name for name, pattern in PATTERNS.items() if not pattern.fullmatch(levels[name])]:
+        return f"levels.{wrong[0]} is malformed"
+    return None
 
 
 def env_config_of(manifest: Mapping[str, Any], folder: Path) -> EnvConfig:
@@ -123,8 +151,14 @@ def env_config_of(manifest: Mapping[str, Any], folder: Path) -> EnvConfig:
 
 
 def check_same_collection(found: Mapping[str, Any], wanted: Mapping[str, Any], folder: Path) -> None:
-    """Raises DatasetError where the data set of a folder is not the one that a command would write."""
+    """Raise DatasetError if the data set of a folder is not the one that a command would write.
+
+    Contents are compared by their hashes: equal levels or parameters may have another path.
+    """
     theirs, ours = ({k: v for k, v in content.items() if k not in ABOUT_ONLY} for content in (found, wanted))
+    for table, label in LABELS.items():
+        if theirs[table].get(HASH) and theirs[table] | {label: ""} == ours[table] | {label: ""}:
+            ours[table] = theirs[table]
     if names := [text[:MAX_TEXT] for text in differing(ours, theirs)]:
         more = f" and {len(names) - 2} more" if len(names) > 2 else ""
         raise DatasetError(
@@ -134,8 +168,8 @@ def check_same_collection(found: Mapping[str, Any], wanted: Mapping[str, Any], f
 
 
 def check_env(manifest: Mapping[str, Any], config: EnvConfig, folder: Path) -> None:
-    """Raises DatasetError, naming the first, where transitions are not those of an environment like `config`."""
-    theirs, ours = manifest["env"], dataclasses.asdict(config)
+    """Raise DatasetError, which names the first difference, if the transitions are of another environment."""
+    theirs, ours = (dataclasses.asdict(each) for each in (env_config_of(manifest, folder), config))
     for name in ("size", "observation", "action_space", "frame_skip"):
         if theirs[name] != ours[name]:
             raise DatasetError(

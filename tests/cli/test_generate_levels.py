@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +24,7 @@ from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.level.simulation import noop_solved
 from kinetix_dist.models.policy import make_policy
 from kinetix_dist.runtime.cores.curriculum_state import PpoAgents
+from tests.helpers import REPOSITORY
 from tests.runtime.runs import tiny_config
 
 NUM_LEVELS = 6
@@ -120,3 +124,35 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
     file.write_text("{}")
     assert "is a file; give a directory" in refusal(capsys, file)
     assert "is not empty; name a new directory" in refusal(capsys, tmp_path)
+
+
+KILLED = """
+import os, signal
+from kinetix_dist.cli.main import main
+from kinetix_dist.level import schema
+
+def save(level, path, info, save_level=schema.save_level):
+    if path.name == "random_3.json":
+        os.kill(os.getpid(), signal.SIGKILL)
+    save_level(level, path, info)
+
+schema.save_level = save
+main(["levels", "generate", {out!r}, "--count", "6", "--size", "s"])
+"""
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_killed_command_leaves_no_levels_and_the_same_command_succeeds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], exists: bool
+) -> None:
+    out = tmp_path / "levels"
+    if exists:
+        out.mkdir()
+    code = KILLED.format(out=str(out))
+    killed = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, timeout=300, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert len(list(tmp_path.glob("**/random_*.json"))) == 3, "three levels were on the disk"
+    assert not list(out.glob("*.json"))
+    generate(capsys, out, "--size", "s")
+    assert sorted(path.name for path in out.iterdir()) == [f"random_{number}.json" for number in range(NUM_LEVELS)]
+    assert [path.name for path in tmp_path.iterdir()] == ["levels"]

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +16,8 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.level.kinetix_format import export_kinetix
 from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.schema import level_from_json
-from kinetix_dist.level.sets import files_of_set
+from kinetix_dist.level.sets import files_of_set, load_level_set
+from tests.helpers import REPOSITORY
 from tests.level.documents import cart_document
 
 
@@ -184,3 +188,84 @@ def test_what_is_wrong_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
     (tmp_path / "ours.json").write_text(json.dumps(cart_document()))
     assert "env_state: is missing" in failure(capsys, "import", str(tmp_path / "ours.json"), str(tmp_path / "x.json"))
     assert not (tmp_path / "x.json").exists()
+
+
+@pytest.fixture
+def two_of_one_stem(tmp_path: Path) -> Path:
+    """A folder with kick.json and two files same.json, whose own names are others."""
+    folder = tmp_path / "mine"
+    for place, level in (("s", "hop_home"), ("m", "kick"), ("m", "trapdoor")):
+        (folder / place).mkdir(parents=True, exist_ok=True)
+        name = "kick" if level == "kick" else "same"
+        shutil.copy(levels_root() / "s" / f"{level}.json", folder / place / f"{name}.json")
+    return folder
+
+
+def test_levels_of_one_stem_have_the_same_unique_names_in_every_command(
+    two_of_one_stem: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = ["kick", "m/same", "s/same"]
+    assert load_level_set(str(two_of_one_stem))[1] == names
+    assert main(["levels", "list", str(two_of_one_stem), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["level"] for row in rows] == names
+    for row in rows:
+        assert main(["levels", "show", row["file"]]) == 0, "commands accept the listed file"
+    results = tmp_path / "results.json"
+    capsys.readouterr()
+    command = ("--policy", "noop", "--attempts", "1", "--no-baselines")
+    assert main(["eval", "--levels", str(two_of_one_stem), "--json", str(results), *command]) == 0
+    levels = json.loads(results.read_text())["solve_rate"]["noop"]["levels"]
+    assert [level["name"] for level in levels] == names
+
+
+def test_levels_of_one_stem_are_exported_and_solved_to_files_of_their_own(
+    two_of_one_stem: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["levels", "export", str(two_of_one_stem), str(tmp_path / "public")]) == 0
+    assert "exported 3 of 3 files" in capsys.readouterr().out
+    files = [path.relative_to(tmp_path / "public") for path in files_below(tmp_path / "public")]
+    assert [str(file) for file in files] == ["kick.json", "m/same.json", "s/same.json"]
+    for name, level in (("kick", "kick"), ("m/same", "trapdoor"), ("s/same", "hop_home")):
+        (tmp_path / "proofs" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(levels_root() / "proofs" / "s" / f"{level}.json", tmp_path / "proofs" / f"{name}.json")
+    options = ("--check", "--worlds", "32", "--proofs", str(tmp_path / "proofs"))
+    assert main(["levels", "solve", str(two_of_one_stem), *options]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in lines[:3]] == ["kick", "m/same", "s/same"]
+
+
+def files_below(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("**/*") if path.is_file())
+
+
+KILLED = """
+import os, signal
+from kinetix_dist.cli import convert_levels
+from kinetix_dist.cli.main import main
+
+def kill(file, out, size, export=convert_levels._export_file):
+    if file.stem == "kick":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return export(file, out, size)
+
+convert_levels._export_file = kill
+main(["levels", "export", "designed_s", {out!r}])
+"""
+
+
+def test_a_killed_export_leaves_no_directory_and_the_same_command_succeeds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "public"
+    code = KILLED.format(out=str(out))
+    killed = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, timeout=300, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert files_below(tmp_path), "levels were on the disk"
+    assert not out.exists()
+    assert main(["levels", "export", "designed_s", str(out)]) == 0
+    assert "exported 5 of 5 files" in capsys.readouterr().out
+    assert len(files_below(tmp_path)) == 5 and list(tmp_path.iterdir()) == [out]
+    (out / "notes.txt").write_text("mine")
+    assert main(["levels", "export", "designed_s", str(out)]) == 0, "files are added to a directory that exists"
+    assert len(files_below(tmp_path)) == 6 and (out / "notes.txt").read_text() == "mine"

@@ -18,6 +18,9 @@ from kinetix_dist.delay.curve import contender_at, played
 from kinetix_dist.delay.execution import Schedule
 from kinetix_dist.env.env_config import EnvConfig
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.finetune.each import Plan, prepare
+from kinetix_dist.finetune.specialists import SCRATCH
+from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.stored_specialists import are_specialists, read_results, specialists_of
@@ -57,6 +60,19 @@ def test_specialists_of_a_level_are_those_of_the_seeds_that_solve_it(written: Pa
     seed = specialists_of(written / "scratch-seed-3", *load_level_set(str(levels / f"{HOP}.json"), "s"))
     assert [[(one.level, one.seed) for one in own] for own in seed.by_level] == [[(HOP, 3)]]
     assert are_specialists(written) and are_specialists(written / "scratch-seed-0") and not are_specialists(levels)
+
+
+def test_levels_of_one_stem_have_specialists_of_their_own(tmp_path: Path) -> None:
+    for folder, level in (("s", HOP), ("m", KICK)):
+        (tmp_path / "mine" / folder).mkdir(parents=True)
+        shutil.copy(levels_root() / "s" / f"{level}.json", tmp_path / "mine" / folder / "same.json")
+    config = config_of(tmp_path / "mine", env=ENV, policy=NETWORK)
+    rates = {("m/same", 0): 0.7, ("s/same", 0): 0.9}
+    written = write_specialists(tmp_path / "experts", config, rates)
+    assert {(one["level"], one["final"]["rate"]) for one in read_results(written)} == {("m/same", 0.7), ("s/same", 0.9)}
+    chosen = specialists_of(written, *load_level_set(str(tmp_path / "mine"), "s"))
+    assert [[(one.level, one.rate) for one in own] for own in chosen.by_level] == [[("m/same", 0.7)], [("s/same", 0.9)]]
+    prepare(config, Plan(starts=(SCRATCH,)))  # `finetune --each` takes the set
 
 
 def test_shards_are_of_one_level_and_one_specialist_in_turns(written: Path, levels: Path, tmp_path: Path) -> None:
