@@ -85,6 +85,8 @@ class Options:
             raise ValueError(f"--episodes is {self.episodes}; at least 1 is needed")
         if self.picture is not None and self.picture.suffix not in PICTURES:
             raise ValueError(f"--picture {self.picture} ends in none of {', '.join(PICTURES)}")
+        if self.picture is not None and self.picture.is_dir():
+            raise ValueError(f"--picture {self.picture} is a directory; give a file")
 
 
 def delays_of(words: Sequence[str]) -> list[int]:

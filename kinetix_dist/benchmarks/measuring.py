@@ -38,7 +38,7 @@ class Results:
         if file is not None:
             with user_errors(OSError):
                 file.parent.mkdir(parents=True, exist_ok=True)
-                file.touch()
+                file.open("ab").close()  # unlike `touch` this refuses a directory
 
     def add(self, *records: Record) -> None:
         self.records += records

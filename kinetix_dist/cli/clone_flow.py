@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import tyro
 
 from kinetix_dist.checkpoint import CheckpointError
-from kinetix_dist.cli.checks import check_seed, start_computing
+from kinetix_dist.cli.checks import check_output_directory, check_seed, start_computing
 from kinetix_dist.cli.streams import say
 from kinetix_dist.delay.chunk_policy import FlowConfig
 from kinetix_dist.delay.cloning import CloningConfig
@@ -66,6 +66,7 @@ class Args:
 
 def run(args: Args) -> int:
     check_seed(args.training.seed)
+    check_output_directory(args.run, "--run")
     start_computing()
     from kinetix_dist.delay.cloning_state import DESIGN_NAME
     from kinetix_dist.runtime import (

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from kinetix_dist.cli.checks import check_seed
+from kinetix_dist.cli.checks import check_output_directory, check_seed
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, one_line, user_errors
 
@@ -131,6 +131,7 @@ def check(args: Args) -> None:
         with user_errors(ValueError):
             preset(args.preset)
     check_seed(args.seed)
+    check_output_directory(args.out, "--out")
 
 
 def _trained(policy: str) -> Trained | None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from kinetix_dist.cli.checks import start_computing
+from kinetix_dist.cli.checks import check_output_directory, start_computing
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, one_line, user_errors
 
@@ -65,8 +65,9 @@ def run(args: Any) -> int:
 
 def _import(args: ImportKinetix) -> int:
     for name in ("trajectories", "shard_trajectories"):
-        if (value := getattr(args, name)) is not None and value < 1:
-            raise UserError(f"--{name.replace('_', '-')} is {value:g}; it must be 1 or more")
+        if not getattr(args, name) >= 1:
+            raise UserError(f"--{name.replace('_', '-')} is {getattr(args, name):g}; it must be 1 or more")
+    check_output_directory(args.out)
     from kinetix_dist.data import DatasetError
     from kinetix_dist.data.kinetix_import import choose, import_offline
     from kinetix_dist.data.kinetix_offline import KinetixOffline

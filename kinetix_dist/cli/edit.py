@@ -19,6 +19,7 @@ from typing import Annotated
 
 import tyro
 
+from kinetix_dist.cli.checks import check_output_directory
 from kinetix_dist.cli.dashboard import RUNS, ServerArgs, serve_pages
 from kinetix_dist.errors import UserError
 from kinetix_dist.level.level_data import designed_files, designed_names, levels_root
@@ -43,6 +44,8 @@ class Args(ServerArgs):
 
 
 def run(args: Args) -> int:
+    if args.results != RESULTS:  # else it is made when it is needed, and the working directory may be read-only
+        check_output_directory(args.results, "--results")
     editor = dataclasses.replace(editor_of(args.level), results=args.results)
     return serve_pages("editor", args, ServerConfig(paths=(), optional_paths=(RUNS,), editor=editor, first_page=PAGE))
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kinetix_dist.cli import train
-from kinetix_dist.cli.checks import MAX_SEED, check_output_file
+from kinetix_dist.cli.checks import MAX_SEED, check_output_directory, check_output_file
 from kinetix_dist.cli.option_help import wants_help
 from kinetix_dist.cli.specialist_slots import check_slots, hold_to_cpu, slots_of, train_in_slots
 from kinetix_dist.cli.streams import say
@@ -287,6 +287,7 @@ def _each(args: Args, config: TrainConfig) -> int:
 
     assert args.train is not None
     path = args.train.run or train.RUNS / f"finetune-{Path(config.curriculum.levels).stem}"
+    check_output_directory(path, "--run")
     if (path / "config.json").exists():
         raise UserError(f"{path} holds a run; give --run another directory for the results of specialists")
     plan = Plan(starts=args.starts, seeds=args.seeds, stop_at=args.stop_at, part=args.part, together=args.together)

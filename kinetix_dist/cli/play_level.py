@@ -15,6 +15,7 @@ from pathlib import Path
 
 import tyro
 
+from kinetix_dist.cli.checks import check_output_directory
 from kinetix_dist.cli.dashboard import ServerArgs, serve_pages
 from kinetix_dist.cli.edit import PAGE, RESULTS, editor_of
 from kinetix_dist.errors import UserError, user_errors
@@ -41,6 +42,8 @@ def run_play(args: Play) -> int:
     """Serves the pages until Ctrl-C."""
     if not args.play:
         raise UserError("--no-play starts no engine, which playing needs; leave it out")
+    if args.results != RESULTS:
+        check_output_directory(args.results, "--results")
     plays, runs = _player(args.policy)
     editor = dataclasses.replace(editor_of(_level_to_open(args.level)), plays=plays, results=args.results)
     return serve_pages("play", args, ServerConfig(paths=runs, editor=editor, first_page=PAGE))

@@ -21,6 +21,7 @@ from typing import Annotated
 import tyro
 
 from kinetix_dist.child_python import command_of
+from kinetix_dist.cli.checks import check_output_file
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, user_errors
 from kinetix_dist.telemetry.recording import RecordingError, Rollout
@@ -56,6 +57,9 @@ class Args:
 def run(args: Args) -> int:
     if sum((args.index is not None, args.solved, args.failed)) > 1:
         raise UserError("--index, --solved and --failed exclude each other; give one of them")
+    for name in ("to", "picture", "gif"):
+        if (file := getattr(args, name)) is not None:
+            check_output_file(file, f"--{name}")
     files = recording_files(args.source)
     rollouts = _read(files)
     if args.list:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from kinetix_dist.cli.checks import check_output_directory, check_seed
+from kinetix_dist.cli.checks import check_output_directory, check_output_file, check_seed
 from kinetix_dist.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
@@ -110,6 +110,8 @@ def _check(args: Solve) -> None:
         raise UserError("--check searches nothing; leave --again, --method and --checkpoint out")
     if args.picture is not None and not args.check:
         raise UserError("--picture draws what --check replays; give --check too")
+    if args.picture is not None:
+        check_output_file(args.picture, "--picture")
     if args.proofs is not None:
         check_output_directory(args.proofs, "--proofs")
 

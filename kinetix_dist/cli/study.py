@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from kinetix_dist.cli.checks import check_output_directory
 from kinetix_dist.cli.sweep_tables import console
 from kinetix_dist.cli.worker_slots import check_machine, planned_slots, slots_for, slots_of_machine, train_in_time
 from kinetix_dist.errors import UserError, user_errors
@@ -75,6 +76,8 @@ def run(args: Args) -> int:
         study = find_study(args.study)
         study = study.as_small if args.small else study
         path = args.out or RUNS / study.name
+        if args.out is not None:
+            check_output_directory(args.out, "--out")
         directory = _directory_of(study, args, path)
     is_there = check_design(path, directory.plan.hash)
     if args.draw:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from kinetix_dist.cli.checks import check_output_directory
 from kinetix_dist.cli.sweep_tables import arms_table, console, effects_table, print_aliases, scores_table
 from kinetix_dist.cli.worker_slots import check_machine, planned_slots, slots_for, train_in_time
 from kinetix_dist.errors import user_errors
@@ -57,6 +58,8 @@ def run(args: Args) -> int:
     with user_errors(DesignError, prefix=f"{args.design}: "):
         runs = runs_of(design)
     path = args.out or RUNS / design.name
+    if args.out is not None:
+        check_output_directory(args.out, "--out")
     check_design(path, hash_of(design, runs))
     if args.plan:
         slots, missing = planned_slots(lambda: slots_for(runs, args.slots, OPTION), args.slots, OPTION)
