@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -20,6 +23,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.level import NUM_WALLS
 from kinetix_dist.level.walls import WALL_CENTRES_M
 from tests.data.kinetix_sample import ANSWER, STORED, answer_of, write_sample
+from tests.helpers import REPOSITORY
 from tests.kinetix_package import assert_same_observation
 
 CEILING = 3  # polygon slot
@@ -253,6 +257,33 @@ def test_a_second_import_goes_on_and_another_one_is_refused(tmp_path: Path, caps
     assert whole == {path.name: path.read_bytes() for path in out.glob("*.parquet")}
     assert main([*command, "--first", "1"]) == 2
     assert "holds another data set" in capsys.readouterr().err
+
+
+KILLED = """
+import os, signal
+from kinetix_dist.cli.main import main
+from kinetix_dist.data import kinetix_import
+
+def kill(folder, number, content, counts, write=kinetix_import.write_shard):
+    if number == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return write(folder, number, content, counts)
+
+kinetix_import.write_shard = kill
+main({command!r})
+"""
+
+
+def test_a_killed_import_goes_on_with_the_same_command(tmp_path: Path) -> None:
+    command = ["data", "import-kinetix", str(STORED), str(tmp_path / "data"), "--shard-trajectories", "1"]
+    code = KILLED.format(command=command)
+    killed = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, timeout=300, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert len(open_dataset(tmp_path / "data").shards) == 1
+    assert main(command) == 0
+    assert main([*command[:3], str(tmp_path / "whole"), *command[4:]]) == 0
+    for file in (tmp_path / "whole").iterdir():
+        assert (tmp_path / "data" / file.name).read_bytes() == file.read_bytes(), file.name
 
 
 def test_walls_stand_where_those_of_other_levels_do(tmp_path: Path) -> None:

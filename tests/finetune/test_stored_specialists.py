@@ -5,6 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -25,6 +28,7 @@ from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.models.policy import PolicyConfig
 from kinetix_dist.stored_specialists import are_specialists, read_results, specialists_of
 from tests.finetune.small import NAMES, config_of, level_directory, write_specialists
+from tests.helpers import REPOSITORY
 
 HOP, KICK = NAMES
 RATES = {(HOP, 0): 0.9, (KICK, 0): 0.7, (HOP, 3): 0.66, (KICK, 3): 0.1}
@@ -73,6 +77,34 @@ def test_levels_of_one_stem_have_specialists_of_their_own(tmp_path: Path) -> Non
     chosen = specialists_of(written, *load_level_set(str(tmp_path / "mine"), "s"))
     assert [[(one.level, one.rate) for one in own] for own in chosen.by_level] == [[("m/same", 0.7)], [("s/same", 0.9)]]
     prepare(config, Plan(starts=(SCRATCH,)))  # `finetune --each` takes the set
+
+
+KILLED = """
+import os, signal
+from pathlib import Path
+from kinetix_dist.finetune import results
+from tests.finetune.small import write_specialists
+from tests.finetune.test_stored_specialists import ENV, NETWORK, config_of
+
+def kill(path, content, replace=results.replace_file, **options):
+    if path.name == "kick.json":  # the figures, which come last
+        os.kill(os.getpid(), signal.SIGKILL)
+    replace(path, content, **options)
+
+results.replace_file = kill
+write_specialists(Path({out!r}), config_of(Path({levels!r}), env=ENV, policy=NETWORK), {rates!r})
+"""
+
+
+def test_a_specialist_whose_process_was_killed_while_it_stored_it_is_not_counted(levels: Path, tmp_path: Path) -> None:
+    rates = {(HOP, 0): 0.9, (KICK, 0): 0.7}
+    code = KILLED.format(out=str(tmp_path / "experts"), levels=str(levels), rates=rates)
+    killed = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, timeout=300, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert (tmp_path / "experts" / "scratch-seed-0" / KICK / "manifest.json").is_file(), "its policy was stored"
+    assert [one["level"] for one in read_results(tmp_path / "experts")] == [HOP]
+    write_specialists(tmp_path / "experts", config_of(levels, env=ENV, policy=NETWORK), {(KICK, 0): 0.7})
+    assert [one["level"] for one in read_results(tmp_path / "experts")] == [HOP, KICK]
 
 
 def test_shards_are_of_one_level_and_one_specialist_in_turns(written: Path, levels: Path, tmp_path: Path) -> None:

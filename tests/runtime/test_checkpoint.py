@@ -1,8 +1,10 @@
 """A checkpoint restores exactly what was saved, and a damaged one is never used."""
 
 import shutil
+import signal
 import socket
 import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -17,10 +19,12 @@ from kinetix_dist.checkpoint import (
     load_checkpoint,
     newest_good,
     remove_dead_drafts,
+    save_alone,
     save_checkpoint,
     store,
     unflatten_arrays,
 )
+from tests.helpers import REPOSITORY
 
 
 def _state(seed: int) -> dict:
@@ -172,3 +176,34 @@ def test_drafts_of_dead_processes_are_removed_and_those_of_living_ones_stay(tmp_
 
 def test_there_are_no_drafts_where_there_is_no_directory(tmp_path):
     assert remove_dead_drafts(tmp_path / "nothing") == []
+
+
+KILLED = """
+import os, signal
+from pathlib import Path
+import numpy as np
+from kinetix_dist.checkpoint import save_alone, store
+
+def kill(directory, write=store.write_manifest, calls=[]):
+    write(directory)
+    calls.append(directory)
+    if len(calls) == 2:  # of the checkpoint, then of the directory that is published
+        os.kill(os.getpid(), signal.SIGKILL)
+
+store.write_manifest = kill
+save_alone(Path({to!r}), 7, {{"params/x": np.ones(3, np.float32)}}, {{}})
+"""
+
+
+def test_a_killed_process_leaves_no_checkpoint_of_its_own_and_the_next_saves_one(tmp_path):
+    to = tmp_path / "policy"
+    (tmp_path / ".policy-draft").mkdir()  # a directory of the user
+    (tmp_path / ".policy-draft" / "notes.txt").write_text("mine")
+    code = KILLED.format(to=str(to))
+    killed = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, timeout=300, check=False)
+    assert killed.returncode == -signal.SIGKILL and not to.exists()
+    assert list(tmp_path.glob("*/manifest.json")), "everything was written but the name"
+    save_alone(to, 8, flatten_arrays(_state(8)), {})
+    assert load_checkpoint(to).description["num_updates"] == 8
+    assert (tmp_path / ".policy-draft" / "notes.txt").read_text() == "mine"
+    assert {path.name for path in tmp_path.iterdir()} == {"policy", ".policy-draft"}
