@@ -12,17 +12,17 @@ from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError
 from kinetix_dist.jax_checks import check_arithmetic, check_settings
 
-MAX_SEED = 2**32 - 1  # what a key of JAX keeps of a seed
+MAX_SEED = 2**32 - 1  # a key of JAX keeps 32 bits of a seed
 
 
 def check_seed(seed: int) -> None:
-    """Raises `UserError` for a seed that makes no key of its own."""
+    """Raise `UserError` for a seed whose key equals the key of another seed."""
     if not 0 <= seed <= MAX_SEED:
         raise UserError(f"--seed is {seed}; give a number from 0 to {MAX_SEED}")
 
 
 def check_output_file(file: Path, option: str = "") -> None:
-    """Raises `UserError` where `file` cannot be written; `option` is the flag it was given by, such as "--json"."""
+    """Raise `UserError` if `file` cannot be written. `option` is the flag that names it, such as "--json"."""
     folder = file.parent
     if file.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
         what = f"{option} a file" if option else "a file"
@@ -44,10 +44,15 @@ def check_output_directory(directory: Path, option: str = "") -> None:
 
 
 def start_computing(compile_cache: str = "") -> None:
-    """Before a command computes anything, and after JAX was held to the CPU where it has to be.
+    """Check JAX and set up the caches. Commands call it after they restrict JAX to the CPU, before they compute.
 
-    Raises UserError for a JAX that computes wrongly, or has settings with which commands do not run. compile_cache: as
-    `enable_compile_cache` takes it. Says in one line where caches are not where they were to be.
+    A line on stderr reports a cache that could not be created in its configured place.
+
+    Args:
+        compile_cache: as `enable_compile_cache` takes it.
+
+    Raises:
+        UserError: JAX computes wrongly, or has settings with which commands do not run.
     """
     from kinetix_dist.program_cache import OFF, enable_compile_cache
 

@@ -1,4 +1,4 @@
-"""`kinetix-dist levels generate DIR`: writes new levels, those that solve themselves left out.
+"""`kinetix-dist levels generate DIR`: writes new levels, without levels that solve themselves.
 
     kinetix-dist levels generate mine --size m --count 50            by a random generator
     kinetix-dist levels generate mine --like my_levels               by a model that learns what those levels are like
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from kinetix_dist.level.generator import LevelGenerator
     from kinetix_dist.level.level import Level
 
-MAX_ROUNDS = 8  # of drawing as many levels as are requested, until enough do not solve themselves
+MAX_ROUNDS = 8  # each draws the requested number of levels, until enough of them do not solve themselves
 
 
 @dataclasses.dataclass(frozen=True)
 class Generate:
-    """Write new levels: random ones, ones like those of a set, or those of a teacher."""
+    """Write new levels: random levels, levels similar to a set, or levels of a teacher."""
 
     out: tyro.conf.Positional[Path]
     """The directory to write into, new or empty."""
@@ -41,9 +41,9 @@ class Generate:
     generator: str | None = None
     """Which random levels: "default", "kinetix", "locomotion", "tasks" or one of its families, such as "car"."""
     like: str | None = None
-    """Levels between those of this set, directory or random set (random_s, ...): an autoencoder is trained on them."""
+    """Levels similar to this set, directory or random set (random_s, ...): an autoencoder is trained on it."""
     steps: int | None = None
-    """With --like: gradient steps of the autoencoder; left out: as many as it takes by default."""
+    """With --like: gradient steps of the autoencoder; left out: its default."""
     teacher: Path | None = None
     """Levels that the teacher of this run (curriculum paired) builds with its newest checkpoint."""
     body: str | None = None
@@ -138,7 +138,7 @@ def _model(args: Generate, like: str) -> tuple[LevelGenerator, str]:
 
 
 def _draw(args: Generate, source: LevelGenerator) -> tuple[list[Level], int, int]:
-    """`count` levels that do not solve themselves, how many were drawn, and how many of those solve themselves."""
+    """Return `count` levels that do not solve themselves, the number drawn, and the number that solve themselves."""
     import jax
     import numpy as np
 

@@ -1,14 +1,13 @@
-"""Collecting a data set: shard after shard is played on the device while the one before is written by a thread.
+"""Collection of a data set: the device plays a shard while a thread writes the shard before it.
 
     play (device)  --> at most one shard waits --> writer thread: to the host, columns, zstd, disk, line of the index
 
-The main thread waits for the thread to take a shard, and is unblocked by it, also where it failed. Shard k depends on
-the settings, the seed and k alone, so that a collection that was killed goes on with the shards that are missing.
-World w of shard k plays level number k W + w of a shuffled round over all levels: every level is played by as many
-worlds as any other.
+The main thread waits for the thread to take a shard; the thread unblocks it, also after a failure. Shard k depends only
+on the settings, the seed and k, so a killed collection resumes with the shards that are missing. World w of shard k
+plays level number k W + w of a shuffled round over all levels: the same number of worlds plays each level.
 
-Where each level has players of its own (`Collection.turns`), all worlds of shard k play level k mod L, by player
-(k // L) mod n of the n that it has: one program plays all of them, with other parameters.
+If each level has its own players (`Collection.turns`), all worlds of shard k play level k mod L, by player
+(k // L) mod n of its n players: one program plays all of them, with other parameters.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ class Turn:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Collection:
-    """Settings of a data set, apart from how many shards of it there are."""
+    """Settings of a data set, without the number of its shards."""
 
     env: Environment
     player: Player
@@ -120,10 +119,17 @@ class Collection:
 def collect(
     collection: Collection, folder: Path, num_shards: int, on_shard: Callable[[Shard, float], None] = lambda *_: None
 ) -> list[Shard]:
-    """All shards of a data set with `num_shards` or more of them; those that are missing are made.
+    """Make the missing shards of a data set of `num_shards` or more, and return all of its shards.
 
-    on_shard: called with each new one and the seconds since the first was begun. Raises DatasetError where the folder
-    holds something else, and OSError where a shard cannot be written: what is there stays valid then.
+    Args:
+        collection: the settings.
+        folder: of the data set, which may exist.
+        num_shards: the data set has at least this number at the end.
+        on_shard: called with each new shard and the seconds since the start of the first one.
+
+    Raises:
+        DatasetError: the folder holds something else.
+        OSError: a shard cannot be written. The shards before it stay valid.
     """
     described = level_file.describe_levels(collection.env, collection.levels, collection.level_names)
     content = level_file.encode_levels(described)
@@ -146,8 +152,11 @@ def collect(
 
 @contextmanager
 def opened_folder(folder: Path, wanted: dict[str, Any], levels_content: bytes) -> Iterator[None]:
-    """A folder with this manifest and these levels, which no other process writes to. Raises DatasetError where it
-    holds something else."""
+    """Hold a folder with this manifest and these levels, which no other process writes to.
+
+    Raises:
+        DatasetError: the folder holds something else, or another process writes to it.
+    """
     _check_folder(folder, wanted)
     folder.mkdir(parents=True, exist_ok=True)
     with locked_index(folder, wanted["shard_transitions"]):
@@ -158,7 +167,7 @@ def opened_folder(folder: Path, wanted: dict[str, Any], levels_content: bytes) -
 
 
 def _check_folder(folder: Path, wanted: dict[str, Any]) -> bool:
-    """True where there is a data set of this manifest. Raises DatasetError where there is something else."""
+    """Return whether the folder holds a data set of this manifest. Raise DatasetError if it holds something else."""
     if (folder / manifest.FILE).exists():
         manifest.check_same_collection(manifest.read_manifest(folder), wanted, folder)
         return True
@@ -178,7 +187,7 @@ def missing_shards(folder: Path, num_shards: int, max_rows: int) -> list[int]:
 
 
 def _is_there(folder: Path, shard: Shard) -> bool:
-    """The file of a shard has its size; what is in it is checked when it is read."""
+    """Return whether the file of a shard has its size. A reader checks its content."""
     path = folder / shard.file
     return path.is_file() and path.stat().st_size == shard.bytes
 
@@ -197,7 +206,7 @@ def _write(collection: Collection, folder: Path, number: int, played: Played) ->
 
 
 def rows_of(collection: Collection, number: int, played: Played) -> Transitions:
-    """Rows of shard `number`, sorted by episode and step: those of a world follow those of the world before."""
+    """Return the rows of shard `number`, world after world, sorted by episode and step."""
     num_worlds, num_steps = collection.num_worlds, collection.num_steps
     first = np.ones((num_worlds, num_steps), bool)
     first[:, 1:] = played.done[:, :-1]

@@ -1,9 +1,9 @@
-"""Levels of a data set, `levels.npz`: each once, with what a level alone fixes of an observation.
+"""Levels of a data set, `levels.npz`: each level once, with the part of an observation that it fixes.
 
 level/...        arrays of the levels, [L, ...]
 static_obs/...   static part of the observation, [L, ...], see the manifest
 robot_mask       [L, n] bool, shapes that the actions move, see `robot_mask`
-bound_heads      [L, dimensions] bool, dimensions of the action that something in the level obeys
+bound_heads      [L, dimensions] bool, dimensions of the action that drive something in the level
 names            [L] text
 """
 
@@ -30,7 +30,7 @@ FILE = "levels.npz"
 
 
 class Levels(NamedTuple):
-    """L levels and what each fixes."""
+    """L levels, and the part of an observation that each fixes."""
 
     levels: Level  # [L, ...]
     names: list[str]
@@ -54,8 +54,11 @@ def describe_levels(env: Environment, levels: Level, names: list[str]) -> Levels
 
 
 def robot_mask(levels: Level) -> np.ndarray:
-    """[L, n] bool: shapes that move and that joints, through others that move, connect to a thruster or to a motor that
-    obeys an action. What hangs on the same fixed body alone is no part of it."""
+    """Return the shapes of the robot, [L, n] bool.
+
+    They move, and a chain of joints between moving shapes connects them to a thruster or to a motor that obeys an
+    action. Two shapes that share only a fixed body are not connected.
+    """
     shapes, joints, thrusters = levels.scene.shapes, levels.scene.joints, levels.scene.thrusters
     moves = np.asarray(shapes.active & (shapes.inverse_mass > 0))
     a, b, active = (np.asarray(x) for x in (joints.a, joints.b, joints.active))
@@ -76,7 +79,7 @@ def robot_mask(levels: Level) -> np.ndarray:
 
 
 def encode_levels(levels: Levels) -> bytes:
-    """Content of the file: the same levels give the same bytes."""
+    """Return the content of the file. The same levels give the same bytes."""
     arrays = {f"level/{name}": array for name, array in flatten_arrays(levels.levels).items()}
     arrays |= {f"static_obs/{name}": array for name, array in flatten_arrays(levels.static_obs).items()}
     arrays |= {"robot_mask": levels.robot_mask, "bound_heads": levels.bound_heads, "names": np.array(levels.names)}
@@ -90,7 +93,7 @@ def write_levels(folder: Path, content: bytes) -> None:
 
 
 def read_levels(folder: Path, env: Environment, sha256: str) -> Levels:
-    """Raises DatasetError where the file is missing, damaged or not that of an environment like this."""
+    """Read the levels. Raise DatasetError if the file is missing, damaged or of another environment."""
     path = folder / FILE
     try:
         content = path.read_bytes()
@@ -117,7 +120,7 @@ def read_levels(folder: Path, env: Environment, sha256: str) -> Levels:
 
 
 def _check_tables(arrays: dict[str, np.ndarray], env: Environment) -> int:
-    """Return the number of levels. Raise KeyError or ValueError if what is stored a level has another shape."""
+    """Return the number of levels. Raise KeyError or ValueError if an array of the levels has another shape."""
     names = arrays["names"]
     if names.dtype.kind != "U" or names.ndim != 1 or not len(names):
         raise ValueError("names has no text a level")

@@ -1,6 +1,6 @@
-"""Description of a data set, `dataset.json`: what its transitions are of, and checks against what is needed.
+"""Description of a data set, `dataset.json`: environment, levels and policy of its transitions, and comparisons.
 
-It says nothing about how many transitions there are: the index of shards does, and `collect` may add more.
+It does not count the transitions: the index of shards does, and `collect` may add more.
 """
 
 from __future__ import annotations
@@ -36,11 +36,17 @@ MAX_TEXT = 120  # characters of a difference
 
 
 class DatasetError(ValueError):
-    """A data set that cannot be used, and why, in one line."""
+    """A data set cannot be used; the message gives the reason in one line."""
 
 
 def make_manifest(env: Environment, levels: Mapping[str, Any], behaviour: Mapping[str, Any]) -> dict[str, Any]:
-    """levels: "set", "number", "fingerprint" and "sha256" of the file; behaviour: policy, noise, seed and sizes."""
+    """Return the description of a data set.
+
+    Args:
+        env: the environment that was played.
+        levels: "set", "number", "fingerprint" and "sha256" of the file.
+        behaviour: policy, noise, seed and sizes.
+    """
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -55,7 +61,7 @@ def make_manifest(env: Environment, levels: Mapping[str, Any], behaviour: Mappin
 
 
 def observation_shapes(env: Environment, num_levels: int = 1) -> tuple[Any, Any]:
-    """(static, dynamic) observation of so many worlds as `jax.ShapeDtypeStruct`s."""
+    """Return the (static, dynamic) observation of `num_levels` worlds as `jax.ShapeDtypeStruct`s."""
     one = empty_level(env.capacity)
     levels = jax.tree.map(lambda x: jax.ShapeDtypeStruct((num_levels, *np.shape(x)), np.asarray(x).dtype), one)
     prepared = jax.eval_shape(env.prepare, levels)
@@ -63,7 +69,7 @@ def observation_shapes(env: Environment, num_levels: int = 1) -> tuple[Any, Any]
 
 
 def describe_observation(env: Environment) -> dict[str, Any]:
-    """Fields of an observation by the names of their columns, with the shapes of one transition."""
+    """Return the fields of an observation by the names of their columns, with the shapes of one transition."""
     fields = {}
     for name, leaf in named_shapes(observation_shapes(env)[1]).items():
         fields[column_of(name)] = {"shape": list(leaf.shape[1:]), "dtype": str(leaf.dtype)}
@@ -85,12 +91,12 @@ def describe_actions(env: Environment) -> dict[str, Any]:
 
 
 def column_of(name: str) -> str:
-    """Column of a field of the dynamic observation, by its path through it: "bodies" -> "observation.bodies"."""
+    """Return the column of a field of the dynamic observation: "bodies" -> "observation.bodies"."""
     return ".".join(["observation", *filter(None, name.split("/"))])
 
 
 def named_shapes(shapes: Any) -> dict[str, jax.ShapeDtypeStruct]:
-    """Leaves by the names that `flatten_arrays` gives them."""
+    """Return the leaves by the names that `flatten_arrays` gives them."""
     names = flatten_arrays(jax.tree.map(lambda leaf: np.zeros((1,)), shapes))
     return dict(zip(names, jax.tree.leaves(shapes), strict=True))
 
@@ -100,7 +106,7 @@ def write_manifest(folder: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Raises DatasetError for what is no data set, for a damaged one and for one of another format or version."""
+    """Read the description. Raise DatasetError if it is missing, damaged, or of another format or version."""
     path = folder / FILE
     try:
         manifest = json.loads(path.read_bytes())
@@ -122,7 +128,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def _fault(manifest: Mapping[str, Any]) -> str | None:
-    """Return what the reader of a data set misses in a manifest; `None` if that is nothing."""
+    """Return the first entry that a reader needs and a manifest lacks, in words; `None` if there is no such entry."""
     for name, kind in (("env", dict), ("physics", str), ("levels", dict), ("policy", dict), ("shard_transitions", int)):
         if type(manifest.get(name)) is not kind:
             return f"{name} is missing or of another type"
@@ -143,7 +149,7 @@ def _fault(manifest: Mapping[str, Any]) -> str | None:
 
 
 def env_config_of(manifest: Mapping[str, Any], folder: Path) -> EnvConfig:
-    """The environment that the data set is of. Raises DatasetError for one that this version does not have."""
+    """Return the environment of the data set. Raise DatasetError if this version does not have it."""
     try:
         return build(EnvConfig, manifest["env"])
     except (ValueError, KeyError, TypeError) as error:

@@ -59,4 +59,4 @@ def _checks(rows: Transitions, space: ActionSpace, first_row: int) -> Iterator[t
 
 def _of_rows(is_wrong: np.ndarray) -> np.ndarray:
     """Reduce [N, ...] to [N]."""
-    return is_wrong.reshape(len(is_wrong), -1).any(axis=1)
+    return np.any(is_wrong.reshape(len(is_wrong), -1), axis=1)
