@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
 from kinetix_dist.cli.main import main
 from kinetix_dist.data import open_dataset
+from kinetix_dist.level.level_data import levels_root
 from tests.data.small_collection import fill_disc_at
 
 SMALL = ["--worlds", "2", "--shard-transitions", "512"]  # 256 steps of each world, the longest episode
@@ -48,6 +50,19 @@ def test_a_collection_is_made_added_to_and_said(
     assert main(command(out, "1000", "--noise", "0.1")) == 2
     [line] = capsys.readouterr().err.splitlines()
     assert "holds another data set: noise 0.1 instead of 0.0; give --out another folder" in line
+
+
+def test_the_same_levels_by_another_path_go_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "data"
+    assert main(command(out, "512")) == 0
+    (tmp_path / "mine").mkdir()
+    shutil.copy(levels_root() / "s" / "hop_home.json", tmp_path / "mine")
+    for path in ("mine", "mine/hop_home.json"):
+        assert main([*command(out, "512"), "--levels", str(tmp_path / path)]) == 0
+        assert "nothing was missing" in capsys.readouterr().out
+    shutil.copy(levels_root() / "s" / "kick.json", tmp_path / "mine" / "hop_home.json")
+    assert main([*command(out, "512"), "--levels", str(tmp_path / "mine")]) == 2
+    assert "holds another data set: levels.fingerprint" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
