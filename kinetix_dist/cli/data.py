@@ -65,8 +65,8 @@ def run(args: Any) -> int:
 
 def _import(args: ImportKinetix) -> int:
     for name in ("trajectories", "shard_trajectories"):
-        if not getattr(args, name) >= 1:
-            raise UserError(f"--{name.replace('_', '-')} is {getattr(args, name):g}; it must be 1 or more")
+        if (value := getattr(args, name)) is not None and value < 1:
+            raise UserError(f"--{name.replace('_', '-')} is {value:g}; it must be 1 or more")
     check_output_directory(args.out)
     from kinetix_dist.data import DatasetError
     from kinetix_dist.data.kinetix_import import choose, import_offline

@@ -19,7 +19,7 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kinetix_dist.cli import train
 from kinetix_dist.cli.checks import MAX_SEED, check_output_directory, check_output_file
@@ -176,7 +176,7 @@ def _hold_to_cpu_early(known: argparse.Namespace, rest: Sequence[str]) -> None:
     except argparse.ArgumentError as error:
         raise UserError(f"{one_line(error)}; see `{PROG} --help`") from None
     run = train.recipe_or_run(options.pop("recipe")).run
-    changed = {"placement": "local"} if known.each else {}
+    changed: dict[str, Any] = {"placement": "local"} if known.each else {}
     changed |= {name: value for name, value in options.items() if value is not None}
     with user_errors(ValueError, PlacementError):
         hold_to_cpu(dataclasses.replace(run, **changed))

@@ -282,14 +282,14 @@ def test_a_plan_checks_each_arm_once_and_not_each_seed(tmp_path, monkeypatch):
         return make_run(*given)
 
     monkeypatch.setattr("kinetix_dist.study.plan.make_run", counted)
-    study = read_study(write(tmp_path))
+    study = read_training_study(write(tmp_path))
     runs = plan_of(study, seeds=200).runs
     assert len(runs) == 200 * len(study.arms) and len(made) == 2 * len(study.arms)
     assert [run.name for run in runs[:3]] == ["plain-seed1", "wide-seed1", "plain-seed2"]
 
 
 def test_runs_of_other_seeds_are_those_that_are_made_one_by_one(tmp_path):
-    study = read_study(write(tmp_path))
+    study = read_training_study(write(tmp_path))
     for run in plan_of(study, seeds=3).runs:
         forced = {name: value for name, value in run.options.items() if name not in run.arm.options}
         assert run == make_run(recipe(study.recipe), run.arm, run.seed, forced)

@@ -1,6 +1,6 @@
 """Groups of evaluated levels by their features: which features go with failing, ranked, noise last.
 
-    levels of a set + features -> groupings (by joints, thrusters, family, distance, ...) -> each group against all others
+    levels of a set + features -> groupings (by joints, family, distance, ...) -> each group against all others
 
 Levels are the sample, not attempts: ten attempts at one level say little of another level with as many joints. A group
 differs clearly where the interval of its difference to all other levels excludes 0, with a confidence that holds for
@@ -49,7 +49,8 @@ def failure_groups(
     lot would have (omega squared), at least 0. A group is {label, levels (indices), solved, attempts, rate, low, high,
     others: {solved, attempts, rate, low, high}, difference: {value, low, high} or None, is_clear}. Intervals of rates
     are 95 % over levels, None of a single base level; that of a difference is 95 % for all groups together. Features
-    that all levels share make no grouping; `same` names those that group the levels as `feature` does. Groupings that differ clearly come first, by the least that they explain.
+    that all levels share make no grouping; `same` names those that group the levels as `feature` does. Groupings that
+    differ clearly come first, by the least that they explain.
     """
     groupings = {name: _bins(name, np.asarray(values)) for name, values in features.items()}
     groupings[FAMILY] = _families(families)

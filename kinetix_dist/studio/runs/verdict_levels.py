@@ -152,7 +152,8 @@ def _rise(found: Replayed) -> tuple[Estimate | None, str]:
     rise = difference_over_levels(now.tolist(), then.tolist(), [str(level) for level in range(len(now))])
     if rise is None:  # all differ alike: by attempts then
         counts = ((found.solved, found.finished), (earlier.solved, earlier.attempts))
-        rise = difference_interval(*(_rate(int(solved[both].sum()), int(plays[both].sum())) for solved, plays in counts))
+        rates = (_rate(int(solved[both].sum()), int(plays[both].sum())) for solved, plays in counts)
+        rise = difference_interval(*rates)
     when = f"updates {earlier.from_update:,} to {earlier.update:,}"
     return rise, (
         f"Their mean solve rate went from {percent(float(then.mean()))} in training ({when}, "
