@@ -32,7 +32,7 @@ from bench.dashboard import CHECKOUT, DRAWN, add_browser_argument, launched, ser
 from bench.program import exit_code, output_file, parser_of
 from kinetix_dist.child_python import command_of
 from kinetix_dist.errors import UserError
-from kinetix_dist.studio.runs.run_files import last_row
+from kinetix_dist.studio.runs.run_files import METRICS, last_row
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 
 LOOK_MS = 20  # between looks for a row
@@ -57,10 +57,16 @@ def send(number: signal.Signals, processes: list[psutil.Process]) -> None:
         process.send_signal(number)
 
 
+def newest_update(metrics: Path) -> int:
+    """Return the update of the last row of a file of metrics; 0 if it has none."""
+    row = last_row(metrics, is_row=is_metrics_row).row
+    return 0 if row is None else row["update"]
+
+
 def measure(browser: Any, runs: Path, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """A record for each update."""
     run = runs / "run"
-    metrics = run / "metrics" / "metrics.jsonl"
+    metrics = run / METRICS
     with ExitStack() as stack:
         address, server = stack.enter_context(serving(runs))
         page = browser.new_context(locale="en-US", viewport=VIEWPORT).new_page()
@@ -79,9 +85,8 @@ def measure(browser: Any, runs: Path, arguments: argparse.Namespace) -> list[dic
             while True:
                 if training.poll() is not None:
                     raise UserError(f"training ended with {training.returncode}; its lines stand above")
-                row = last_row(metrics, is_row=is_metrics_row).row
-                if row is not None and row["update"] > after:
-                    return row["update"]
+                if (update := newest_update(metrics)) > after:
+                    return update
                 page.wait_for_timeout(LOOK_MS) if is_watched else time.sleep(LOOK_MS / 1000)
 
         update = wait_for_row(0, is_watched=True)
