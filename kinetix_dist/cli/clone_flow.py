@@ -112,6 +112,9 @@ def _prepare(args: Args) -> _Prepared:
 
     with user_errors(DatasetError, ValueError, OSError):
         demonstrations = open_demonstrations(args.data, skip_damaged=args.skip_damaged)
+        for data in demonstrations.datasets:
+            if data.shortfall:
+                say(data.shortfall, sys.stderr)
         config = _for_observation(args.flow, demonstrations.env_config.observation)
         env = Environment(demonstrations.env_config)
         policy = make_chunk_policy(config, env)

@@ -117,6 +117,8 @@ def _export(args: ExportMinari) -> int:
 
     with user_errors(DatasetError, OSError):
         data = open_dataset(args.data)
+        if data.shortfall:
+            say(data.shortfall, sys.stderr)
         folder, num_episodes = export_minari(data, args.id, on_shard)
     print(f"{folder}: {num_episodes:,} episodes, {len(data):,} transitions; minari.load_dataset({args.id!r}) opens it")
     return 0

@@ -343,7 +343,10 @@ def _check_inputs(config: TrainConfig, *, is_new: bool) -> None:
     from kinetix_dist.level.sets import load_level_set, size_of_drawn_set
 
     if config.imitation.data and is_new:
-        open_dataset(config.imitation.data).check_env(config.env)
+        data = open_dataset(config.imitation.data, skip_damaged=config.imitation.skip_damaged)
+        data.check_env(config.env)
+        if data.shortfall:
+            say(data.shortfall, sys.stderr)
     check_evaluation_sets(config.evaluation.sets, config.env.size, config.policy.network)
     for phase in config.schedule.phases:
         order, name, own = list(SIZES), phase.config.curriculum.levels, phase.config.env.size

@@ -133,7 +133,7 @@ def collect(
     """
     described = level_file.describe_levels(collection.env, collection.levels, collection.level_names)
     content = level_file.encode_levels(described)
-    with opened_folder(folder, collection.manifest(content), content):
+    with opened_folder(folder, collection.manifest(content), content, num_shards):
         missing = missing_shards(folder, num_shards, collection.rows_per_shard)
         pool = LevelPool(collection.env, collection.levels)
         began = time.monotonic()
@@ -151,8 +151,10 @@ def collect(
 
 
 @contextmanager
-def opened_folder(folder: Path, wanted: dict[str, Any], levels_content: bytes) -> Iterator[None]:
+def opened_folder(folder: Path, wanted: dict[str, Any], levels_content: bytes, num_shards: int) -> Iterator[None]:
     """Hold a folder with this manifest and these levels, which no other process writes to.
+
+    The manifest notes the number of shards that the command is to make, unless it notes a larger one.
 
     Raises:
         DatasetError: the folder holds something else, or another process writes to it.
@@ -160,24 +162,28 @@ def opened_folder(folder: Path, wanted: dict[str, Any], levels_content: bytes) -
     _check_folder(folder, wanted)
     folder.mkdir(parents=True, exist_ok=True)
     with locked_index(folder, wanted["shard_transitions"]):
-        if not _check_folder(folder, wanted):
+        stored = _check_folder(folder, wanted)
+        if stored is None:
             level_file.write_levels(folder, levels_content)
-            manifest.write_manifest(folder, wanted)  # last: with it the folder is a data set
+        if stored is None or stored.get(manifest.SHARDS, 0) < num_shards:
+            # Last: with it the folder is a data set.
+            manifest.write_manifest(folder, (stored or wanted) | {manifest.SHARDS: num_shards})
         yield
 
 
-def _check_folder(folder: Path, wanted: dict[str, Any]) -> bool:
-    """Return whether the folder holds a data set of this manifest. Raise DatasetError if it holds something else."""
+def _check_folder(folder: Path, wanted: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the manifest of the folder, `None` without one. Raise DatasetError if the folder holds something else."""
     if (folder / manifest.FILE).exists():
-        manifest.check_same_collection(manifest.read_manifest(folder), wanted, folder)
-        return True
+        stored = manifest.read_manifest(folder)
+        manifest.check_same_collection(stored, wanted, folder)
+        return stored
     own = {level_file.FILE, INDEX}  # of a collection that was killed as it began
     found = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
     if others := [name for name in found if name not in own and not name.startswith(".")]:
         raise DatasetError(
             f"{folder} holds other files ({others[0]}) and no data set; give --out a directory of its own"
         )
-    return False
+    return None
 
 
 def missing_shards(folder: Path, num_shards: int, max_rows: int) -> list[int]:

@@ -22,7 +22,7 @@ import pyarrow as pa
 
 from kinetix_dist.data.columns import Transitions, from_parquet, joined, picked
 from kinetix_dist.data.level_file import Levels, read_levels
-from kinetix_dist.data.manifest import DatasetError, check_env, env_config_of, observation_shapes, read_manifest
+from kinetix_dist.data.manifest import SHARDS, DatasetError, check_env, env_config_of, observation_shapes, read_manifest
 from kinetix_dist.data.row_checks import fault_of_rows
 from kinetix_dist.data.shards import INDEX, REMEDY, Shard, read_content, read_index
 from kinetix_dist.env.env_config import EnvConfig
@@ -58,6 +58,17 @@ class Dataset:
     def __len__(self) -> int:
         """Transitions, by the index."""
         return sum(shard.rows for shard in self.shards)
+
+    @property
+    def shortfall(self) -> str:
+        """Return a line about shards that the command of the data set was to make and did not; "" if it made all."""
+        wanted = self.manifest.get(SHARDS, 0)
+        if len(self.shards) >= wanted:
+            return ""
+        return (
+            f"data set {self.folder} has {len(self.shards)} of the {wanted} shards that its command was to make; the "
+            "same command goes on"
+        )
 
     @functools.cached_property
     def levels(self) -> Levels:

@@ -113,7 +113,7 @@ def import_offline(
     content = level_file.encode_levels(described)
     num_shards = -(-len(chosen.numbers) // per_shard)
     max_rows = per_shard * source.num_steps
-    with opened_folder(folder, _manifest(source, chosen, content, per_shard), content):
+    with opened_folder(folder, _manifest(source, chosen, content, per_shard), content, num_shards):
         for number in missing_shards(folder, num_shards, max_rows):
             rows = rows_of(source, chosen, number * per_shard, min((number + 1) * per_shard, len(chosen.numbers)))
             counts = {"rows": len(rows.done), "episodes": int(rows.done.sum()), "solved": int(rows.solved.sum())}

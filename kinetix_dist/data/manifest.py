@@ -1,6 +1,7 @@
 """Description of a data set, `dataset.json`: environment, levels and policy of its transitions, and comparisons.
 
-It does not count the transitions: the index of shards does, and `collect` may add more.
+The index of shards counts the transitions. `shards` is the number of shards that the command was to make, so that a
+reader can tell a data set whose command was killed; `collect` may add more later.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from kinetix_dist.level.walls import empty_level
 FILE = "dataset.json"
 FORMAT = "kinetix-dist-dataset"
 VERSION = 1
-ABOUT_ONLY = ("package",)  # entries that may differ between two runs of one collection
+SHARDS = "shards"
+ABOUT_ONLY = ("package", SHARDS)  # entries that may differ between two runs of one collection
 # Names of contents: entries that may differ if the other entries of their table are equal.
 LABELS = {"levels": "set", "policy": "name"}
 HASH = "sha256"  # of the contents of such a table; a policy without parameters has "", and only its name
@@ -132,6 +134,8 @@ def _fault(manifest: Mapping[str, Any]) -> str | None:
     for name, kind in (("env", dict), ("physics", str), ("levels", dict), ("policy", dict), ("shard_transitions", int)):
         if type(manifest.get(name)) is not kind:
             return f"{name} is missing or of another type"
+    if type(manifest.get(SHARDS, 0)) is not int:  # earlier versions have none
+        return f"{SHARDS} is of another type"
     levels = manifest["levels"]
     for table, name, kind in (
         ("levels", "set", str),

@@ -135,9 +135,22 @@ def test_a_killed_process_loses_one_shard_and_the_next_goes_on_to_the_same_bytes
     code = KILLED.format(folder=str(folder))
     killed = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, timeout=300, check=False)
     assert killed.returncode == -signal.SIGKILL
-    assert len(open_dataset(folder).read().done) == 4 * 20  # shard 0 alone
+    data = open_dataset(folder)
+    assert len(data.read().done) == 4 * 20  # shard 0 alone
+    assert (
+        data.shortfall
+        == f"data set {folder} has 1 of the 3 shards that its command was to make; the same command goes on"
+    )
     collect(collection, folder, NUM_SHARDS)
-    assert files_of(folder) == files_of(collected)
+    assert files_of(folder) == files_of(collected) and not open_dataset(folder).shortfall
+
+
+def test_fewer_shards_than_before_are_no_shortfall_and_more_are(collection: Collection, data: Path) -> None:
+    collect(collection, data, 1)
+    assert open_dataset(data).manifest["shards"] == NUM_SHARDS
+    collect(collection, data, NUM_SHARDS + 1)
+    (data / "shards.jsonl").write_text("".join((data / "shards.jsonl").read_text().splitlines(keepends=True)[:2]))
+    assert "has 2 of the 4 shards" in open_dataset(data).shortfall
 
 
 def test_a_full_disc_stops_the_collection_and_what_is_written_stays_valid(

@@ -274,12 +274,17 @@ main({command!r})
 """
 
 
-def test_a_killed_import_goes_on_with_the_same_command(tmp_path: Path) -> None:
+def test_a_killed_import_is_told_and_goes_on_with_the_same_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     command = ["data", "import-kinetix", str(STORED), str(tmp_path / "data"), "--shard-trajectories", "1"]
     code = KILLED.format(command=command)
     killed = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, timeout=300, check=False)
     assert killed.returncode == -signal.SIGKILL
     assert len(open_dataset(tmp_path / "data").shards) == 1
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    main(["data", "export-minari", str(tmp_path / "data"), "part-v0"])
+    assert " shards that its command was to make; the same command goes on" in capsys.readouterr().err.splitlines()[0]
     assert main(command) == 0
     assert main([*command[:3], str(tmp_path / "whole"), *command[4:]]) == 0
     for file in (tmp_path / "whole").iterdir():

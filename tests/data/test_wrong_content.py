@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -16,10 +17,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from kinetix_dist.cli.main import main
+from kinetix_dist.cli.train import _check_inputs as check_inputs
 from kinetix_dist.data import DatasetError, open_dataset
 from kinetix_dist.data.collect import Collection, collect
 from kinetix_dist.env.environment import Environment
 from kinetix_dist.evaluation.policies import Player, RandomPolicy
+from kinetix_dist.recipes import recipe
 from tests.data.small_collection import NUM_SHARDS
 
 ROWS = 80  # of a shard
@@ -148,6 +151,17 @@ def test_a_line_that_is_missing_in_the_middle_is_reported(collection: Collection
         open_dataset(data)
     collect(collection, data, NUM_SHARDS)
     assert len(open_dataset(data)) == NUM_SHARDS * ROWS
+
+
+def test_training_takes_a_damaged_index_if_it_may_skip(data: Path) -> None:
+    rows = index_of(data)
+    write_index(data, [rows[0], rows[2]])
+    config = recipe("clone_s")
+    for may_skip in (False, True):
+        imitation = dataclasses.replace(config.imitation, data=str(data), skip_damaged=may_skip)
+        run = dataclasses.replace(config, imitation=imitation)
+        with contextlib.nullcontext() if may_skip else pytest.raises(DatasetError, match="no line of shard 1"):
+            check_inputs(run, is_new=True)
 
 
 def test_a_damaged_last_line_is_no_torn_one(data: Path) -> None:
