@@ -109,6 +109,16 @@ def read_stored(file: Path) -> Record:
     return content
 
 
+def level_set_of(path: Path) -> str:
+    """Return the name or path of the levels that a results directory was made from. Raises UserError without one."""
+    file = path / DESIGN_NAME
+    curriculum = read_stored(file).get("curriculum")
+    levels = curriculum.get("levels") if isinstance(curriculum, dict) else None
+    if not isinstance(levels, str):
+        raise UserError(f"{file} is damaged: it does not name its levels; choose another directory")
+    return levels
+
+
 def digest_of(level: Level) -> str:
     """Digest of all numbers of a level."""
     digest = hashlib.sha256()

@@ -325,6 +325,8 @@ def _stored_config(path: Path, *, is_resumed: bool) -> TrainConfig:
             content = read_json(path)
             if not isinstance(content, dict):
                 raise TypeError(f"it holds a {type(content).__name__} and no configuration")
+            if not isinstance(content["config"]["run"], dict):
+                raise TypeError("its section run is no object")
             return (from_dict if is_resumed else from_dict_as_recipe)(content["config"])
         except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(

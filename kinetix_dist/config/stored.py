@@ -32,10 +32,13 @@ def from_dict(data: Mapping[str, Any]) -> TrainConfig:
 def from_dict_as_recipe(data: Mapping[str, Any]) -> TrainConfig:
     """Return the configuration of another run, for a new one: its plugins need trust, its compile cache is not used.
 
-    Raises ConfigError as `from_dict` does, and PluginError for plugins that the user does not trust.
+    Raises ConfigError as `from_dict` does and for a name that leads out of runs/, and PluginError for plugins that the
+    user does not trust.
     """
     import_stored_plugins(_plugins_of(data))
     config = from_dict(data)
+    if (name := config.run.name) in ("", ".", "..") or "/" in name or "\\" in name:
+        raise ConfigError(f"config field run.name is {name[:60]!r}; a name without folders is needed in a recipe")
     return dataclasses.replace(config, run=dataclasses.replace(config.run, compile_cache=""))
 
 

@@ -164,8 +164,8 @@ class TrainConfig:
 class StoredConfig:
     """Settings of a checkpoint by which its policy plays: no path, and no part that only training uses."""
 
-    env: EnvConfig = dataclasses.field(default_factory=EnvConfig)
-    policy: PolicyConfig = dataclasses.field(default_factory=PolicyConfig)
+    env: EnvConfig
+    policy: PolicyConfig
     plugins: tuple[str, ...] = ()  # modules that register parts of these, which the user trusts
 
     def __post_init__(self) -> None:

@@ -26,7 +26,7 @@ from kinetix_dist.evaluation.recordings import record_rollouts
 from kinetix_dist.level.level import Level
 from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.runtime import make_environment
-from kinetix_dist.stored_specialists import Record, policy_path
+from kinetix_dist.stored_specialists import Record, level_set_of, policy_path
 from kinetix_dist.telemetry.pictures import grid_scale, write_grid_gif
 from kinetix_dist.telemetry.recording import Rollout
 from kinetix_dist.trained_policy import Trained, checkpoint_at
@@ -54,11 +54,11 @@ def play_specialists(path: Path, records: Sequence[Record]) -> list[PlayedLevel]
     still be read, else after alone. Raises UserError for a policy or a level that cannot be read."""
     records = records[:MAX_LEVELS]
     specialists = [checkpoint_at(policy_path(path, record)) for record in records]
-    config = specialists[0].config  # levels and environment are those of all
+    config, level_set = specialists[0].config, level_set_of(path)  # of all
     with user_errors(ValueError, OSError):
-        levels, names = load_level_set(config.curriculum.levels, config.env.size)
+        levels, names = load_level_set(level_set, config.env.size)
     if missing := [record["level"] for record in records if record["level"] not in names]:
-        raise UserError(f"{config.curriculum.levels} has no level {missing[0]!r} any more; it cannot be shown")
+        raise UserError(f"{level_set} has no level {missing[0]!r} any more; it cannot be shown")
     env = make_environment(config)
     start = _start_of(records[0])
     played = []

@@ -157,6 +157,15 @@ def test_a_recipe_from_another_run_does_not_use_its_compile_cache(stored: Callab
     assert train.parse(["--resume", "--run", str(run)]).config.run.compile_cache == str(tmp_path / "cache")
 
 
+@pytest.mark.parametrize("name", ["../../elsewhere", "/elsewhere", "a/b", "..", ""])
+def test_a_recipe_from_another_run_does_not_say_where_the_new_one_lies(
+    name: str, stored: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match=r"run\.name is .*; a name without folders"):
+        train.parse(["--recipe", str(stored(name=name))])
+
+
 def test_the_refusal_is_short_and_escapes_what_a_stranger_wrote(trap: Path, stored: Callable[..., Path]) -> None:
     run = stored(plugins=["\x1b[31m" + "x" * 10_000] * 100)
     with pytest.raises(UserError) as caught:

@@ -27,7 +27,8 @@ def results(tmp_path: Path) -> Path:
     start = start_from(policy_at(write_policy(tmp_path / "policy", config)))
     out = tmp_path / "out"
     (out / start.name).mkdir(parents=True)
-    (out / "design.json").write_text(json.dumps({"levels": dict.fromkeys(NAMES, "")}))
+    design = {"levels": dict.fromkeys(NAMES, ""), "curriculum": {"levels": str(tmp_path / "levels")}}
+    (out / "design.json").write_text(json.dumps(design))
     points = tuple(Point(updates=steps // 128, env_steps=steps, solved=0, attempts=8) for steps in (0, STEPS))
     seconds = {"training_seconds": 1.0, "evaluation_seconds": 1.0, "compile_seconds": 0.0}
     specialist = Specialist(points=points, params={"w": np.arange(3.0)}, skipped_steps=0, **seconds)
@@ -65,6 +66,16 @@ def test_a_start_that_is_gone_is_left_out_and_levels_that_are_gone_are_one_line(
     assert main(["finetune", "--draw", str(results), "--gif", str(results.parent / "a.gif")]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith(f"kinetix-dist: there is no level file or directory {results.parent / 'levels'}")
+
+
+@pytest.mark.parametrize("curriculum", [None, [], {}, {"levels": 3}])
+def test_a_design_without_its_levels_is_one_line(
+    curriculum: object, results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (results / "design.json").write_text(json.dumps({"levels": dict.fromkeys(NAMES, ""), "curriculum": curriculum}))
+    assert main(["finetune", "--draw", str(results), "--gif", str(results.parent / "a.gif")]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "design.json is damaged: it does not name its levels" in line
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from jax.sharding import Mesh
 
-from kinetix_dist.config import TrainConfig
+from kinetix_dist.config import StoredConfig, TrainConfig
 from kinetix_dist.curator.curriculum import Curriculum
 from kinetix_dist.env.device_memory import check_fits
 from kinetix_dist.env.env_config import EnvConfig
@@ -25,8 +25,8 @@ from kinetix_dist.runtime.cores.curriculum_state import make_curriculum
 from kinetix_dist.runtime.cores.rollout_core import Players, RolloutCore, rollout_core
 
 
-def make_environment(config: TrainConfig) -> Environment:
-    """The environment of a run."""
+def make_environment(config: TrainConfig | StoredConfig) -> Environment:
+    """Return the environment of a run, or of a policy that was trained."""
     return _environment(config.env)
 
 
