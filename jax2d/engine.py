@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jax2d import after_fork
 from jax2d.backend import Backend, BackendFactory
 from jax2d.checks import (
     check_batches,
@@ -90,6 +91,7 @@ class Engine:
         reference in plain JAX (slow, differentiable, also in float64), or what makes another. `dtype` is that of states
         and of the arithmetic. With `report_contacts` every call says in `Touching.contacts` what contacts did in its
         last physics step; states are bitwise the same."""
+        after_fork.check()
         check_type("capacity", capacity, Capacity)
         if not callable(backend) and not (isinstance(backend, str) and backend in BACKENDS):
             raise ValueError(f"unknown engine backend {backend!r}; known backends: {', '.join(BACKENDS)}")
@@ -125,6 +127,7 @@ class Engine:
     ) -> State:
         """A state with zero warm-start impulses, for one world or a batch. Omitted parts are zero. Numbers of any kind
         come out in the engine's dtype. Raises ValueError for complex ones and for shapes that are not the scene's."""
+        after_fork.check()
         check_type("scene", scene, Scene)
         batch = np.shape(scene.gravity)[:-1]
         check_layout("scene", scene, self.capacity, self.dtype, batch)
@@ -162,6 +165,7 @@ class Engine:
         values that make no world, controls out of range and scenes that call for effects this engine was compiled
         without.
         """
+        after_fork.check()
         check_batches(scene, state)
         batch = np.shape(state.position)[:-2]
         if controls is None:
@@ -186,12 +190,14 @@ class Engine:
 
     def pack_scene(self, scene: Scene) -> PackedScene:
         """A batch of scenes (leading world axis on every field) as this engine steps them. Raises as `step` does."""
+        after_fork.check()
         check_type("scene", scene, Scene)
         self._check_scene(scene, np.shape(scene.gravity)[:1])
         return self._pack_scene(scene)
 
     def pack_state(self, state: State) -> Any:
         """The backend's tables of a batch of states; every leaf has the world axis last. Raises as `step` does."""
+        after_fork.check()
         check_type("state", state, State)
         check_state(state, self.capacity, self.dtype, batch=np.shape(state.angle)[:1])
         return self.backend.pack_state(state)
@@ -221,6 +227,7 @@ class Engine:
         """Steps a packed batch. Controls are batch-first: motor [W, J], thruster [W, T], of extended shapes also force
         [W, n, 2] and torque [W, n], which may be None. Inside jit those out of range are clamped and counted in
         `Touching.invalid_controls`, outside they raise ValueError."""
+        after_fork.check()
         check_type("scene", scene, PackedScene)
         num_worlds = scene.missing.shape[-1]
         for name, tables, expected in zip(("scene", "state"), (scene.tables, state), self._packed_shapes(num_worlds)):

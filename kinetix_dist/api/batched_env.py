@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jax2d import after_fork
 from jax2d.draw import draw as draw_world
 from jax2d.scene import Array
 from kinetix_dist import prng
@@ -74,6 +75,7 @@ class BatchedEnv:
 
     def reset(self, key: Array) -> tuple[Any, BatchState]:
         """(observation [W, ...], state) at the start of an episode in every world. Consumes the key."""
+        after_fork.check()
         return self._jit_reset(key)
 
     def step(self, key: Array, state: BatchState, action: Array) -> tuple[Any, BatchState, Array, Array, StepInfo]:
@@ -82,6 +84,7 @@ class BatchedEnv:
         The key draws the levels of the episodes that start now, and is consumed. Raises ValueError for actions of a
         wrong shape or type and, outside of `jit`, for numbers out of range.
         """
+        after_fork.check()
         self.action_space.check(action, self.num_envs)
         return self._jit_step(key, state, action)
 
@@ -123,15 +126,18 @@ def make(
     *,
     num_envs: int = 1,
     levels: str | Level = RANDOM,
-    num_levels: int = 256,
-    seed: int = 0,
+    num_levels: int | None = None,
+    seed: int | None = None,
 ) -> BatchedEnv:
     """An environment of `num_envs` worlds that step together.
 
+    Raises ValueError for `num_levels` or `seed` with levels that are not drawn.
+
     Args:
       size: "s", "m" or "l"; or an `EnvConfig`, which also chooses physics, observation, action space and rewards.
-      levels: where episodes start. "random" draws `num_levels` from `seed`; "designed_m" and the like are level sets
-        (`kinetix-dist levels list`); a path is a level file or a directory of them; or a batch of levels.
+      levels: levels on which episodes start. "random" draws `num_levels` (256) of them from `seed` (0); "designed_m"
+        and the like are level sets (`kinetix-dist levels list`); a path names a level file or a directory of them; or a
+        batch of levels.
     """
     config = size if isinstance(size, EnvConfig) else EnvConfig(size=size)
     chosen, names = levels_of(config, levels, num_levels=num_levels, seed=seed)

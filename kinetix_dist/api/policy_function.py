@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from flax import linen as nn
 
+from jax2d import after_fork
 from jax2d.scene import Array
 from kinetix_dist import prng
 from kinetix_dist.env.env_config import EnvConfig
@@ -41,6 +42,7 @@ class PolicyFunction:
         memory: of a recurrent policy, as the last call gave it; None at the start of episodes. Policies without memory
         take and give None. Raises ValueError for another kind of observation than the policy was trained with.
         """
+        after_fork.check()
         if jax.tree.structure(observation) != self.observation_structure:
             kind = self.env_config.observation
             raise ValueError(
@@ -77,6 +79,7 @@ def load_policy(name: str | Path = "generalist", *, greedy: bool = False) -> Pol
       name: of a bundled policy, or the path of a checkpoint, or of a run, whose newest checkpoint is taken.
       greedy: takes the most likely actions instead of drawing them.
     """
+    after_fork.check()
     trained = trained_at(Path(name))
     config = trained.config.env
     env = Environment(config)

@@ -113,7 +113,7 @@ def _new_storage(path: Path, dataset: Dataset, env: Environment, dataset_id: str
     import minari
     from minari.dataset.minari_storage import MinariStorage
 
-    from kinetix_dist.env.wrappers.gymnasium_env import action_space, observation_space
+    from kinetix_dist.env.wrappers.gymnasium_spaces import action_space, observation_space
 
     manifest, own = dataset.manifest, version_of()
     storage = MinariStorage.new(
@@ -181,7 +181,7 @@ def _episodes(env: Environment, rows: Transitions, bounds: np.ndarray) -> list[A
 
 def _observations(env: Environment, rows: Transitions) -> Any:
     """Inputs of a policy [N, ...] as the observation space has them: a dict of arrays, or an array."""
-    from kinetix_dist.env.wrappers.gymnasium_env import as_dict
+    from kinetix_dist.env.wrappers.gymnasium_spaces import as_dict
 
     number = len(rows.level)
     padded = np.concatenate([np.arange(number), np.zeros(max(BLOCK_ROWS - number, 0), np.intp)])  # one program for all
@@ -194,4 +194,4 @@ def _observations(env: Environment, rows: Transitions) -> Any:
 
 
 def _as_stored(array: np.ndarray) -> np.ndarray:
-    return array.astype(np.int8) if array.dtype == np.bool_ else array  # as MultiBinary has it
+    return array.astype(np.int8) if array.dtype == np.bool_ else array  # as the space has them

@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jax2d import after_fork
 from jax2d.effects import Effects
 from jax2d.engine import Engine
 from jax2d.scene import Array, Capacity, Controls, Touching
@@ -86,6 +87,7 @@ class Environment:
         (DeviceMemoryError) and, where values are known (outside of jit), for levels that call for effects the engine
         was made without; inside jit `StepInfo.missing_effects` says so.
         """
+        after_fork.check()
         self._check_levels(levels)
         self.check_memory(levels.position.shape[0])
         if self.engine.effects != Effects.full(self.capacity):
@@ -94,6 +96,7 @@ class Environment:
 
     def reset(self, prepared: PreparedLevels) -> tuple[EnvState, Any]:
         """The first state and observation of every world."""
+        after_fork.check()
         zeros = jnp.zeros_like(prepared.initial_distance)
         env_state = EnvState(
             packed_state=prepared.initial_packed_state,
@@ -116,6 +119,7 @@ class Environment:
         and, where values are known (outside of jit), for numbers out of range; inside jit those act as "off" and
         are counted in `info.invalid_actions`.
         """
+        after_fork.check()
         self.action_space.check(actions, num_worlds=env_state.num_steps.shape[0])
         return self._jit_step(prepared, env_state, actions)
 

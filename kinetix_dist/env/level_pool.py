@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jax2d import after_fork
 from jax2d.scene import Array
 from jax2d.settings import Settings
 from kinetix_dist import prng
@@ -20,6 +21,7 @@ from kinetix_dist.level.sets import load_level_set
 from kinetix_dist.level.simulation import noop_solved
 
 RANDOM = "random"  # name of levels that are drawn from a seed
+NUM_RANDOM = 256  # of them, by default
 
 
 class LevelPool:
@@ -48,16 +50,28 @@ class LevelPool:
         return prepared, *self.env.reset(prepared)
 
 
-def levels_of(config: EnvConfig, levels: str | Level, *, num_levels: int, seed: int) -> tuple[Level, list[str]]:
+def levels_of(
+    config: EnvConfig, levels: str | Level, *, num_levels: int | None = None, seed: int | None = None
+) -> tuple[Level, list[str]]:
     """A batch of levels in arrays of the size of `config`, and their names.
 
-    levels: "random" draws `num_levels` from `seed`, without those that solve themselves. Another name is a level set or
-    a file, see `load_level_set`. A batch is taken as it is.
+    Args:
+      levels: "random" draws `num_levels` (256) levels from `seed` (0) and leaves out levels that solve themselves.
+        Another name is a level set or a file, see `load_level_set`. A batch is used unchanged.
+
+    Raises:
+      ValueError: for `num_levels` or `seed` with levels that are not drawn; as `load_level_set` does.
     """
+    after_fork.check()
+    is_drawn = isinstance(levels, str) and levels == RANDOM
+    for name, value in (("num_levels", num_levels), ("seed", seed)):
+        if value is not None and not is_drawn:
+            raise ValueError(f"{name} is {value}, but only levels={RANDOM!r} are drawn; leave {name} out")
     if not isinstance(levels, str):
         return levels, [f"level_{number}" for number in range(levels.angle.shape[0])]
-    if levels != RANDOM:
+    if not is_drawn:
         return load_level_set(levels, config.size)
+    num_levels, seed = NUM_RANDOM if num_levels is None else num_levels, seed or 0
     if num_levels < 1:
         raise ValueError(f"num_levels is {num_levels}; it must be 1 or more")
     drawn = _random_levels(prng.key(seed), num_levels, config.size, config.physics)

@@ -26,6 +26,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jax2d import after_fork
 from jax2d.scene import Array, stack_worlds
 from kinetix_dist import prng
 from kinetix_dist.level.fingerprints import FINGERPRINT_FILE, check_fingerprint, known_fingerprints
@@ -112,8 +113,11 @@ def load_level_set(
     `num_levels` and `noop_outcome_fn` are for random sets: how many (None: all), and which solve themselves. Raises
     `ValueError` (`LevelFormatError`, `LevelSizeError`) or `FileNotFoundError`, one line each.
     """
+    after_fork.check()
     if size is not None:
         capacity_of_size(size)
+    if num_levels is not None and name not in RANDOM_SETS:
+        raise ValueError(f"num_levels is {num_levels}, but {name!r} is no random set; leave num_levels out")
     if name in RANDOM_SETS:
         drawn = RANDOM_SETS[name]
         return _random_set(drawn, size, drawn.num_levels if num_levels is None else num_levels, noop_outcome_fn)
