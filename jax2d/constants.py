@@ -168,7 +168,10 @@ class Constants:
     )
     # Joints
     open_gap: float = _constant(
-        0.01, "m", "a joint whose anchors are farther apart is counted as open", "0.001: links that yield are counted"
+        0.01,
+        "m",
+        "a joint with a wider gap counts as open, and a rope or rod whose length is wrong by more",
+        "0.001: links that yield are counted",
     )
     open_turn: float = _constant(0.05, "rad", "as much at an arm of 20 cm, of welds and sliders")
     joint_compliance: float = _constant(

@@ -118,9 +118,56 @@ def are_open(joints: Joints, position: Array, angle: Array) -> jax.Array:
     return (_joint_gaps(joints, position, angle) > C.open_gap) | (_joint_turns(joints, angle) > C.open_turn)
 
 
+def length_errors(scene: Scene, state: State) -> jax.Array:
+    """Return the length of each spring beyond its limits, [S] m.
+
+    A rope or spring is beyond its limit if it is longer than `max_length` or shorter than `min_length`; a rod has one
+    length. 0 within the limits and for inactive springs.
+    """
+    return _length_errors(scene.springs, state.position, state.angle)
+
+
+def are_beyond_limits(springs: Springs, position: Array, angle: Array) -> jax.Array:
+    """Return [S] bool, springs, ropes and rods that are beyond their limits by more than 1 cm.
+
+    They are pulled by more than the solver holds, contradict each other, or start too long or too short.
+
+    Args:
+      position: [n, 2] m, of all shapes.
+      angle: [n] rad.
+    """
+    return _length_errors(springs, position, angle) > C.open_gap
+
+
+def num_open(scene: Scene, position: Array, angle: Array) -> jax.Array:
+    """Return the number of joints, ropes and rods that do not hold, [] int32: `Touching.open_joints`.
+
+    Those between two bodies that never yield are not counted, since the solver has nothing to move.
+    """
+    shapes = scene.shapes
+    is_movable = shapes.active & ((shapes.inverse_mass > 0) | (shapes.inverse_inertia > 0))
+
+    def count(ends: Joints | Springs, fails: jax.Array) -> jax.Array:
+        return jnp.sum(fails & (is_movable[ends.a] | is_movable[ends.b]), dtype=jnp.int32)
+
+    joints, springs = scene.joints, scene.springs
+    number = count(joints, are_open(joints, position, angle))
+    return number + count(springs, are_beyond_limits(springs, position, angle))
+
+
 def spring_lengths(scene: Scene, state: State) -> jax.Array:
     """Distance between the two anchors of each spring, [S] m, active or not."""
-    return jnp.linalg.norm(_gap(scene.springs, state.position, state.angle), axis=-1)
+    return _spring_lengths(scene.springs, state.position, state.angle)
+
+
+def _spring_lengths(springs: Springs, position: Array, angle: Array) -> jax.Array:
+    return jnp.linalg.norm(_gap(springs, position, angle), axis=-1)
+
+
+def _length_errors(springs: Springs, position: Array, angle: Array) -> jax.Array:
+    length = _spring_lengths(springs, position, angle)
+    error = jnp.maximum(length - springs.max_length, springs.min_length - length)
+    return jnp.where(springs.active, jnp.maximum(error, 0), 0)
 
 
 def _joint_gaps(joints: Joints, position: Array, angle: Array) -> jax.Array:

@@ -297,7 +297,7 @@ class Touching:
     during: Array  # [n, words] uint32, in any physics step of the call
     overflow: Array  # [] int32, contacts that found no slot in this call (0 unless capacity is exceeded)
     limited: Array  # [] int32, bodies on which a speed limit of the settings acted, each once a step
-    open_joints: Array  # [] int32, joints that do not hold at the end of the call (`measure.are_open`)
+    open_joints: Array  # [] int32, joints, ropes and rods that do not hold at the end of the call (`measure.num_open`)
     invalid_controls: Array  # [] int32, controls of this call that were out of range (clamped) or NaN (taken as 0)
     invalid_scene: Array  # [] int32, what `num_invalid` counts: it is off, or clamped
     missing: Array  # [] int32, bits of `effects.EFFECTS` that the scene calls for and the engine was compiled without

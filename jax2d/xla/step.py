@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jax2d.constants import CONSTANTS as C
-from jax2d.measure import are_open
+from jax2d.measure import num_open
 from jax2d.scene import BackendReport, Capacity, Controls, Scene, State, pack_bits
 from jax2d.solver_numbers import SolverNumbers
 from jax2d.xla import bodies as bodies_of
@@ -87,7 +87,7 @@ def run(
         during=pack_bits(jnp.any(touch, axis=0)),
         overflow=jnp.sum(overflow, dtype=jnp.int32),
         limited=jnp.sum(limited, dtype=jnp.int32),
-        open_joints=jnp.sum(are_open(scene.joints, state.position, state.angle), dtype=jnp.int32),
+        open_joints=num_open(scene, state.position, state.angle),
         contacts=None if tally is None else reports.report_of(jax.tree.map(lambda x: x[-1], tally)),
     )
 

@@ -14,7 +14,7 @@ from jax2d import Engine, SceneError, State, preset, stack_worlds
 from jax2d.fidelity import record, record_worlds
 from jax2d.fidelity.hard_scenes import CAPACITY as LARGE
 from jax2d.fidelity.hard_scenes import Check, HardSceneBuilder
-from jax2d.fidelity.hard_scenes.stacks import stack
+from jax2d.fidelity.hard_scenes.stacks import heavy_on_light, stack
 from jax2d.fidelity.hard_table import REFUSED, SHOWN, outcomes, scenes
 from tests.engine.worlds import builder, engine
 from tests.helpers import REPOSITORY, present
@@ -25,6 +25,8 @@ NAMES = [scene.name for scene in scenes()]
 STANDARD_FAILING = {
     # A hundred times its weight on a box a 28th as heavy: 4.5 cm of 30.
     "press of density 10": {"overlap, m"},
+    # The boxes pass through each other: 240 times is what boxes of this size bear.
+    "mass ratio 400 of boxes of 0.2 m": {"order is lost by, m"},
 }
 
 
@@ -94,6 +96,15 @@ def test_solvers_refuse_what_the_table_says(solver: str):
 def test_standard_fails_in_no_other_figure(name: str):
     checks = present(outcomes(preset("standard"))[name])
     assert {check.figure for check in checks if not check.holds} == STANDARD_FAILING[name]
+
+
+@pytest.mark.parametrize(("name", "per_metre"), [("standard", 1000.0), ("draft", 280.0)])
+def test_small_boxes_bear_less_as_the_docs_say(name: str, per_metre: float):
+    """A box bears `per_metre` times its mass for each metre of its size, and not one and a half times as much."""
+    scenes = [heavy_on_light(share * per_metre * size, size) for share in (1.0, 1.5) for size in (0.1, 0.3, 1.0)]
+    trajectories = record_worlds(Engine(LARGE, settings=preset(name)), [s.world for s in scenes], seconds=10.0)
+    holds = [all(check.holds for check in scene.checks(m)) for scene, m in zip(scenes, trajectories, strict=True)]
+    assert holds == [True] * 3 + [False] * 3
 
 
 def test_far_stack_is_lost_to_the_rounding_of_positions_alone():

@@ -1,4 +1,4 @@
-"""Mechanisms whose constraints contradict each other: they stay finite, their gaps are reported, and counted."""
+"""Joints, ropes and rods that do not hold are reported and counted, and mechanisms with contradictions stay finite."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 from jax2d import BuiltWorld, Capacity, Engine, SceneBuilder, measure, preset, stack_worlds
 
 CAPACITY = Capacity(polygons=5, circles=0, joints=5, thrusters=0)
+HANGING = Capacity(polygons=2, circles=2, joints=1, thrusters=0, springs=2)
 PRESETS = ("draft", "standard", "fine")
 BACKENDS = ("warp", "xla")
 
@@ -113,6 +114,58 @@ def test_joints_that_hold_are_not_counted_and_one_that_starts_apart_is_until_it_
     holding, closing = zip(*counted)
     assert not any(holding)
     assert closing[0] == 1 and closing[-1] == 0
+
+
+def load_on(kind: str, load_kg: float) -> BuiltWorld:
+    """A load that hangs by two ropes, rods or limited springs of 1 m, with a disc of 0.03 kg between them."""
+    builder = SceneBuilder(HANGING)
+    before, at = builder.add_box(width=0.1, height=0.1, fixed=True, mask=0), (0.0, 0.0)
+    for k, mass in enumerate((0.03, load_kg), start=1):
+        place, density = (0.0, -float(k)), mass / (math.pi * 0.1**2)
+        disc = builder.add_circle(radius=0.1, position=place, density=density, mask=0)
+        if kind == "spring":
+            builder.add_spring(before, disc, at_a=at, at_b=place, stiffness=100.0, max_length=1.0)
+        else:
+            getattr(builder, f"add_{kind}")(before, disc, at_a=at, at_b=place)
+        before, at = disc, place
+    return builder.build()
+
+
+@pytest.mark.parametrize("backend", ["warp", pytest.param("xla", marks=pytest.mark.long)])
+def test_ropes_rods_and_limits_of_springs_that_are_overloaded_are_counted(backend: str) -> None:
+    engine = Engine(HANGING, backend=backend)
+    kinds = ("rope", "rod", "spring")
+    worlds = [load_on(kind, load_kg) for load_kg in (314.0, 1.0) for kind in kinds]
+    scene = stack_worlds([world.scene for world in worlds])
+    state = stack_worlds([engine.initial_state(*world) for world in worlds])
+    step = jax.jit(lambda state: engine.step(scene, state, num_steps=10))
+    counted = []
+    for _ in range(12):
+        state, touching = step(state)
+        lengths = np.linalg.norm(np.diff(np.asarray(state.position)[:, [0, 2, 3]], axis=1), axis=-1)  # [6, 2] m
+        errors = lengths - 1
+        errors[1::3] = np.abs(errors[1::3])  # a rod is not to be shorter either
+        np.testing.assert_array_equal(touching.open_joints, (errors > 0.01).sum(1))
+        np.testing.assert_allclose(jax.vmap(measure.length_errors)(scene, state), np.maximum(errors, 0), atol=1e-5)
+        assert not np.asarray(touching.limited).any() and not np.asarray(touching.overflow).any()
+        counted.append(np.asarray(touching.open_joints))
+    assert (np.array(counted)[:, :3].max(0) > 0).all()
+    assert not np.array(counted)[:, 3:].any()
+
+
+def test_joints_and_rods_between_two_fixed_bodies_are_not_counted() -> None:
+    """The builder refuses them, but a body can be fixed later."""
+    builder = SceneBuilder(HANGING)
+    left, right = (builder.add_box(width=0.2, height=0.2, position=(x, 0), fixed=x == 0) for x in (0.0, 1.0))
+    builder.add_rod(left, right, at_a=(0, 0), at_b=(1, 0))
+    builder.add_revolute_joint(left, right, at=(0.5, 0))
+    world = moved(builder.build(), right, (0.5, 0))
+    assert measure.num_open(world.scene, world.position, world.angle) == 2
+    for of_body in (world.scene.shapes.inverse_mass, world.scene.shapes.inverse_inertia):
+        np.asarray(of_body)[right] = 0
+    engine = Engine(HANGING)
+    assert engine.step(world.scene, engine.initial_state(*world))[1].open_joints == 0
+    assert measure.num_open(world.scene, world.position, world.angle) == 0
 
 
 def test_turns_are_those_of_welds_and_sliders_and_full_turns_are_none() -> None:

@@ -64,20 +64,22 @@ def pyramid(rows: int = 10, size: float = 1.0, at: Point = (0.0, 0.0)) -> HardSc
     return b.scene(f"pyramid of {rows} rows{small}{far}", checks)
 
 
-def heavy_on_light(ratio: float) -> HardScene:
+def heavy_on_light(ratio: float, size: float = 1.0) -> HardScene:
+    """A box on a box of the same size that is `ratio` times lighter."""
     b = HardSceneBuilder()
-    light = b.box(0, 0.5)
-    heavy = b.box(0, 1.5, density=ratio)
+    light = b.box(0, 0.5 * size, width=size, height=size)
+    heavy = b.box(0, 1.5 * size, width=size, height=size, density=ratio)
 
     def checks(trajectory: Trajectory) -> list[Check]:
         height = trajectory.position[-1, :, 1]
         return [
-            Check("light box sinks, m", 0.5 - height[light], 0.15),
-            Check("order is lost by, m", 0.8 - (height[heavy] - height[light]), 0.0),
+            Check("light box sinks, m", 0.5 * size - height[light], 0.15 * size),
+            Check("order is lost by, m", 0.8 * size - (height[heavy] - height[light]), 0.0),
             Check("moves at, m/s", trajectory.speed()[-1], 0.01),
         ]
 
-    return b.scene(f"mass ratio {ratio:g}", checks)
+    small = f" of boxes of {size:g} m" if size != 1.0 else ""
+    return b.scene(f"mass ratio {ratio:g}{small}", checks)
 
 
 def heavy_pyramid_top(ratio: float = 300.0) -> HardScene:
@@ -229,6 +231,7 @@ def scenes() -> list[HardScene]:
         circle_stack(),
         pyramid(),
         *(heavy_on_light(ratio) for ratio in (10.0, 100.0, 400.0)),
+        *(heavy_on_light(ratio, size=0.2) for ratio in (200.0, 400.0)),
         heavy_pyramid_top(),
         overlapping_boxes(),
         coincident_centres(),

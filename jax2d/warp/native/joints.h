@@ -416,14 +416,18 @@ struct Joints {
     if (list[k].is_rod()) axis[k] = Springs::axis_of(list[k].apart, list[k].apart.length());
   }
 
-  // Those that do not hold as the bodies stand (`measure.are_open`).
+  // Number of joints and bounds of springs that do not hold in the current positions (`measure.num_open`).
   KFN int num_open(const Bodies& bodies) {
     int number = 0;
     for (int k = 0; k < count; ++k) {
-      if (list[k].is_rod()) continue;
       place(bodies, k);
       const Joint& joint = list[k];
       Vec2 gap = joint.apart;
+      if (joint.is_rod()) {
+        real length = gap.length();
+        if (length - joint.upper > OPEN_GAP || joint.lower - length > OPEN_GAP) ++number;
+        continue;
+      }
       if (joint.is_prismatic()) gap = axis[k].left() * axis[k].left().dot(gap);
       bool turns = joint.is_fixed() || joint.is_prismatic();
       real turn = turns ? Angle::near(joint.current_angle(bodies), real(0)) : real(0);
