@@ -78,7 +78,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     for variable in ("KINETIX_PEER_PYTHON", "KINETIX_PACKAGE_PYTHON", "KINETIX_BOX2D_PYTHON"):
         monkeypatch.setenv(variable, ABSENT)
-    precision = jax.config.jax_enable_x64
+    precision = jax.config.read("jax_enable_x64")
     yield Bench(tmp_path, monkeypatch, capsys)
     jax.config.update("jax_enable_x64", precision)
 
@@ -232,13 +232,26 @@ def configure_variants(bench: Bench) -> None:
 def write_published(file: Path) -> None:
     """One level of the public package: a square that a joint and a thruster hold."""
     capacity, random = SIZES["s"], np.random.default_rng(0)
-    shape = {"position": (2,), "rotation": (), "density": (), "friction": (), "restitution": (), "inverse_mass": ()}
-    joint = {"a_relative_pos": (2,), "b_relative_pos": (2,), "rotation": (), "motor_speed": (), "motor_power": ()}
+    shape: dict[str, tuple[int, ...]] = {
+        "position": (2,),
+        "rotation": (),
+        "density": (),
+        "friction": (),
+        "restitution": (),
+        "inverse_mass": (),
+    }
+    joint: dict[str, tuple[int, ...]] = {
+        "a_relative_pos": (2,),
+        "b_relative_pos": (2,),
+        "rotation": (),
+        "motor_speed": (),
+        "motor_power": (),
+    }
     joint |= {"min_rotation": (), "max_rotation": ()}
-    thruster = {"relative_position": (2,), "rotation": (), "power": ()}
-    flags = {"active": bool}
-    numbers = {"role": np.int32, "collision_mode": np.int32}
-    joints = {"is_fixed_joint": bool, "motor_on": bool, "motor_has_joint_limits": bool}
+    thruster: dict[str, tuple[int, ...]] = {"relative_position": (2,), "rotation": (), "power": ()}
+    flags: dict[str, Any] = {"active": bool}
+    numbers: dict[str, Any] = {"role": np.int32, "collision_mode": np.int32}
+    joints: dict[str, Any] = {"is_fixed_joint": bool, "motor_on": bool, "motor_has_joint_limits": bool}
     joints |= {"a_index": np.int32, "b_index": np.int32, "motor_binding": np.int32}
     kinds: dict[str, tuple[int, dict[str, tuple[int, ...]], dict[str, Any]]] = {
         "polygon": (capacity.polygons, shape, flags | numbers),

@@ -16,6 +16,7 @@ from kinetix_dist.cli import train
 from kinetix_dist.cli.bench import BENCHMARKS
 from kinetix_dist.cli.main import COMMANDS, main
 from kinetix_dist.config import ConfigError
+from kinetix_dist.config.plain import build
 from kinetix_dist.data.rollout import Disturbance
 from kinetix_dist.delay.execution import Schedule
 from kinetix_dist.errors import UserError
@@ -107,7 +108,7 @@ class _Section:
 @pytest.mark.parametrize("field", ["share", "limit", "rates"])
 def test_every_setting_is_finite(field: str, value: float) -> None:
     with pytest.raises(ConfigError, match=rf"_Section\.{field}.* is {value}; it must be a finite number"):
-        _Section(**{field: (1.0, value) if field == "rates" else value})
+        build(_Section, {field: [1.0, value] if field == "rates" else value})
 
 
 def test_whole_numbers_of_any_size_are_finite() -> None:

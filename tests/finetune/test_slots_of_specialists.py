@@ -106,7 +106,7 @@ def test_two_slots_train_two_seeds_are_killed_and_go_on(tmp_path: Path, capsys: 
     # Each has its policy and its card, and the directory has one of all.
     for record in records:
         stem = out / record["folder"] / record["level"]
-        assert checkpoint_at(stem).config.run.seed == record["seed"]
+        assert checkpoint_at(stem).checkpoint.description["config"]["run"]["seed"] == record["seed"]
         card = stem.with_suffix(".md").read_text()
         assert card.startswith(f"# {record['level']}, from scratch, seed {record['seed']}\n")
         assert f"of {record['final']['attempts']} first episodes at the end" in card and "virtual" not in card

@@ -7,7 +7,7 @@ import dataclasses
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -186,7 +186,7 @@ def test_kernels_are_launched_as_they_were_traced_in_whatever_thread():
 
     def trace(num_steps: int) -> None:
         table = jax.ShapeDtypeStruct((2, num_steps), jnp.float32)
-        jax.eval_shape(ffi._launch(lambda worlds: (kernel, worlds), 1, num_steps), *[table] * 7)
+        jax.eval_shape(ffi._launch(lambda worlds: (cast(ffi.KernelCall, kernel), worlds), 1, num_steps), *[table] * 7)
 
     threads = [threading.Thread(target=trace, args=(number,)) for number in (1, 2, 3)]
     for thread in threads:

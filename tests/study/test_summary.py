@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
 import pytest
 
 from kinetix_dist.evaluation.over_seeds import iqm, mean
@@ -24,7 +27,7 @@ def point(*solved: int) -> Point:
 
 @pytest.mark.parametrize("statistic", [mean, iqm])
 @pytest.mark.parametrize(("values", "over"), [([0.4], NO_INTERVAL), ([0.4] * 3, NO_SPREAD), ([0.4, 0.5], OVER_SEEDS)])
-def test_an_estimate_over_seeds(values: list[float], over: str, statistic: object) -> None:
+def test_an_estimate_over_seeds(values: list[float], over: str, statistic: Callable[[np.ndarray], np.ndarray]) -> None:
     found = over_seeds(values, statistic)
     assert found.over == over
     assert (found.low is None) == (found.high is None) == (over != OVER_SEEDS)

@@ -130,4 +130,5 @@ def test_seeds_that_came_out_alike_have_no_interval(value):
 
 def test_seeds_that_differ_have_an_interval():
     stored = mean_of_arms({"a": [0.1, 0.2]})[0].as_json()
-    assert stored["low"] < 0.15 < stored["high"] and " to " in _interval(stored)
+    low, high = stored["low"], stored["high"]
+    assert isinstance(low, float) and isinstance(high, float) and low < 0.15 < high and " to " in _interval(stored)
