@@ -2,6 +2,8 @@
 
 Library code raises its own errors (ValueError and its subclasses, OSError). Code that calls it for a user
 turns the errors that it expects into a `UserError`. Any other error is a bug and keeps its traceback.
+
+Messages quote files, which may hold anything: `printable` escapes control characters, `shortened` cuts.
 """
 
 from __future__ import annotations
@@ -9,15 +11,35 @@ from __future__ import annotations
 from collections.abc import Generator
 from contextlib import contextmanager
 
+MAX_LINE = 2000  # characters of a message
+
 
 class UserError(Exception):
     """Mistake of a user and its remedy, in one line."""
 
 
 def one_line(error: BaseException | str) -> str:
-    """The text of an error without line breaks, for stderr."""
-    text = " ".join(str(error).split())
+    """Return the text of an error for a terminal or a page: no line breaks, printable, at most MAX_LINE characters."""
+    text = shortened(printable(" ".join(str(error).split())), MAX_LINE)
     return text or type(error).__name__
+
+
+def printable(text: str) -> str:
+    """Replace characters that are not printable by their escapes: "\x1b[2J" becomes "\\x1b[2J".
+
+    These are control characters, line breaks too, bidirectional marks, and bytes of file names that are not UTF-8.
+    """
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+
+
+def shortened(text: str, limit: int) -> str:
+    """Cut the middle out of a text that is longer than `limit` characters."""
+    if len(text) <= limit:
+        return text
+    end = (limit - 3) // 3
+    return f"{text[: limit - 3 - end]}...{text[-end:]}"
 
 
 @contextmanager

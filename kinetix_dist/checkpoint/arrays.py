@@ -6,7 +6,6 @@ every difference between the two is an error that names the array.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from kinetix_dist import prng
+from kinetix_dist.text_files import loads_json
 
 
 class ArrayMismatchError(ValueError):
@@ -116,7 +116,7 @@ def read_safetensors(path: Path) -> dict[str, np.ndarray]:
     if length > min(MAX_HEADER_BYTES, len(content) - 8):
         raise SafetensorsError(f"{path} is cut or no safetensors file: its header would have {length:,} bytes")
     try:
-        header = json.loads(content[8 : 8 + length])
+        header = loads_json(content[8 : 8 + length])
         entries = {name: entry for name, entry in header.items() if name != "__metadata__"}
     except (ValueError, AttributeError, RecursionError) as error:
         raise SafetensorsError(f"{path} is no safetensors file: its header cannot be read") from error

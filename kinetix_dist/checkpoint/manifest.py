@@ -11,6 +11,7 @@ import json
 from pathlib import Path
 
 from kinetix_dist.json_text import json_text
+from kinetix_dist.text_files import read_json
 
 MANIFEST_NAME = "manifest.json"
 _CHUNK_BYTES = 1 << 20
@@ -28,7 +29,7 @@ def write_manifest(directory: Path) -> None:
 def manifest_fault(directory: Path) -> str | None:
     """Fault of the files of a checkpoint, in words; None when every file is as it was written."""
     try:
-        files = json.loads((directory / MANIFEST_NAME).read_text())["files"]
+        files = read_json(directory / MANIFEST_NAME)["files"]
         listed = {name: (expected["bytes"], expected["sha256"]) for name, expected in files.items()}
     except FileNotFoundError:
         return f"it has no {MANIFEST_NAME}: it was never finished"

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
 import shlex
 import sys
@@ -26,7 +25,7 @@ from kinetix_dist.cli.option_help import HELP_ALL, WIDTH, options_help, wants_he
 from kinetix_dist.cli.phase_options import PREFIX, override_phases, split_phase_options
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, one_line, user_errors
-from kinetix_dist.text_files import read_json
+from kinetix_dist.text_files import read_json_object
 
 if TYPE_CHECKING:
     from kinetix_dist.config import RunConfig, TrainConfig
@@ -320,19 +319,15 @@ def _stored_config(path: Path, *, is_resumed: bool) -> TrainConfig:
     """Return the configuration of a run. Whoever resumes a run trusts its plugins and paths; a recipe needs less."""
     from kinetix_dist.config import from_dict, from_dict_as_recipe
 
+    remedy = 'the checkpoint.json of each checkpoint has the same "config"'
+    content = read_json_object(path, advice=remedy)
     with user_errors(ValueError, prefix=f"{path}: "):
         try:
-            content = read_json(path)
-            if not isinstance(content, dict):
-                raise TypeError(f"it holds a {type(content).__name__} and no configuration")
             if not isinstance(content["config"]["run"], dict):
                 raise TypeError("its section run is no object")
             return (from_dict if is_resumed else from_dict_as_recipe)(content["config"])
-        except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise ValueError(
-                f"it is damaged ({type(error).__name__}: {one_line(error)}); the checkpoint.json of each checkpoint "
-                'has the same "config"'
-            ) from None
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"it is damaged ({type(error).__name__}: {one_line(error)}); {remedy}") from None
 
 
 def _check_inputs(config: TrainConfig, *, is_new: bool) -> None:

@@ -29,6 +29,7 @@ from kinetix_dist.level.level import Level
 from kinetix_dist.level.schema import LevelInfo, level_as_written, level_to_json
 from kinetix_dist.telemetry.mcap_reader import read_recording
 from kinetix_dist.telemetry.recording import Recording, Rollout
+from kinetix_dist.text_files import loads_json
 
 RANDOM_POLICY_VERSION = -1  # what a rollout of no network is stamped with
 
@@ -116,7 +117,7 @@ def encode_level(level: Level, name: str, size: str) -> str:
 
 def decode_level(text: str) -> Level:
     """The level of a recording, its motors as they were when actions were recorded. Raises LevelFormatError."""
-    return level_as_written(json.loads(text))
+    return level_as_written(loads_json(text))
 
 
 def read_rollouts(path: str | os.PathLike[str]) -> Recording:

@@ -1,12 +1,11 @@
-"""Files of JSON objects, one a line, that survive a kill at any byte; strict JSON; times as files of a run have them.
+"""Files of JSON objects, one a line, that survive a kill at any byte; times as files of a run have them.
 
-A line is whole when it parses (`loads_json`), since an object ends with its last character. A line that does not parse
-is damaged: it is set aside into another file, never lost and never joined with what is written next. Rewriting goes
-through a draft that is flushed to the disk and then renamed, so that at every moment the old or the new file is there.
+A line is whole when it parses (`text_files.loads_json`), since an object ends with its last character. A line that
+does not parse is damaged: it is set aside into another file, never lost and never joined with what is written next.
+Rewriting goes through a draft that is flushed to the disk and then renamed, so that at every moment the old or the new
+file is there.
 
-Python's `json` reads NaN and Infinity, and makes infinity of 1e999. JSON has no such numbers: a page could not be sent
-them, and columns of numbers would hold what no run has measured. Integers have 64 bits here, as columns of them do. Our
-own writers write null for a value that is not finite. Times are UTC: 2026-01-31T12:00:00Z.
+Our own writers write null for a value that is not finite. Times are UTC: 2026-01-31T12:00:00Z.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from __future__ import annotations
 import calendar
 import dataclasses
 import json
-import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,46 +20,7 @@ from typing import Any
 
 from kinetix_dist.atomic_files import AtomicAppender, flush_to_disk, replace_file
 from kinetix_dist.json_text import json_text
-
-MAX_INTEGER = 2**63 - 1
-
-
-def loads_json(content: bytes | str) -> Any:
-    """Content of strict JSON. Raises ValueError, in one line: no JSON, or which number is none."""
-    try:
-        found = json.loads(content)
-        bad = _bad_number(found)
-    except RecursionError:
-        raise ValueError("brackets are nested too deeply") from None
-    except ValueError as error:
-        raise ValueError(" ".join(str(error).split())) from None
-    if bad is not None:
-        names, problem = bad
-        raise ValueError(" ".join(filter(None, [".".join(reversed(names)), problem])))
-    return found
-
-
-def _bad_number(value: Any) -> tuple[list[str], str] | None:
-    """(names that lead to it, the innermost first; what is wrong) of the first number that JSON does not have."""
-    if isinstance(value, float):
-        return None if math.isfinite(value) else ([], f"is {value}, which JSON does not have")
-    if isinstance(value, int):
-        return None if -MAX_INTEGER <= value <= MAX_INTEGER else ([], "is an integer of more than 64 bits")
-    if isinstance(value, dict):
-        entries = value.items()
-    elif isinstance(value, list):
-        if value and set(map(type, value)) == {int} and min(value) >= -MAX_INTEGER and max(value) <= MAX_INTEGER:
-            return None  # counts of levels, of which a line may have thousands
-        entries = enumerate(value)
-    else:
-        return None
-    for name, entry in entries:
-        bad = _bad_number(entry)
-        if bad is not None:
-            bad[0].append(str(name))
-            return bad
-    return None
-
+from kinetix_dist.text_files import loads_json
 
 Row = dict[str, Any]
 

@@ -7,7 +7,6 @@ one of their own, a finished file one of all its bytes.
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import zlib
@@ -24,6 +23,7 @@ from mcap.stream_reader import breakup_chunk
 from kinetix_dist.telemetry.recording import OUTCOMES, ActionName, RecordedLevel, Recording, RecordingError, Rollout
 from kinetix_dist.telemetry.rollout_schema import Sizes, decode_messages
 from kinetix_dist.telemetry.sinks.mcap import FORMAT_VERSION, METADATA_NAME, STEP_CHANNEL, metadata_checksum
+from kinetix_dist.text_files import loads_json
 
 MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEAD = struct.Struct("<BQ")
@@ -171,7 +171,7 @@ def _rollout(
         policy_version=int(entries["policy_version"]),
         seed=int(entries["seed"]),
         step_seconds=float(entries["step_seconds"]),
-        action_names=tuple(_action_name(**entry) for entry in json.loads(entries.get("actions", "[]"))),
+        action_names=tuple(_action_name(**entry) for entry in loads_json(entries.get("actions", "[]"))),
         is_complete=is_complete,
     )
 

@@ -11,7 +11,8 @@ from typing import Any, get_type_hints
 
 from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.json_text import json_text
-from kinetix_dist.telemetry.json_lines import loads_json, utc_seconds
+from kinetix_dist.telemetry.json_lines import utc_seconds
+from kinetix_dist.text_files import loads_json
 
 FORMAT = 1
 STATUS = "status.json"

@@ -22,9 +22,10 @@ import numpy as np
 from kinetix_dist.child_python import command_of
 from kinetix_dist.json_text import json_text
 from kinetix_dist.studio.runs.series import SeriesTable
-from kinetix_dist.telemetry.json_lines import MAX_INTEGER, parse_line
+from kinetix_dist.telemetry.json_lines import parse_line
 from kinetix_dist.telemetry.sinks.jsonl import is_metrics_row
 from kinetix_dist.telemetry.tail import COMPARED_BYTES, Tail
+from kinetix_dist.text_files import MAX_INTEGER
 
 LONG_BYTES = 32 << 20  # from here on it pays to start a process: a second
 PIECE_BYTES = 32 << 20

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from kinetix_dist.telemetry import curriculum_log, status
-from kinetix_dist.telemetry.json_lines import Row, loads_json, parse_row
+from kinetix_dist.telemetry.json_lines import Row, parse_row
+from kinetix_dist.text_files import loads_json
 
 T = TypeVar("T")
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
 import re
 import zlib
 from typing import Any
 
 from kinetix_dist.errors import UserError
+from kinetix_dist.text_files import loads_json
 
 LINK_VERSION = 1
 MAX_LEVEL_BYTES = 3_000_000  # a few bytes of a link can be many
@@ -45,7 +45,7 @@ def read_link(packed: str) -> dict[str, Any]:
             "open it with a newer kinetix-dist"
         )
     try:
-        document = json.loads(_inflated(found[2], _WITHOUT_HEADER if found[1] is None else zlib.MAX_WBITS))
+        document = loads_json(_inflated(found[2], _WITHOUT_HEADER if found[1] is None else zlib.MAX_WBITS))
     except (ValueError, binascii.Error, zlib.error) as error:
         raise UserError("this link is damaged or cut off; copy all of it again, in quotes") from error
     if not isinstance(document, dict):
