@@ -1,7 +1,11 @@
-"""Standard streams of a command: closed ones, those without a reader, hanging ones, and those that are not UTF-8.
+"""Standard streams of a command: closed, without a reader, with a hanging reader, or with another encoding than UTF-8.
 
-None of these is a reason for a command to fail: its work is files, and its exit status says how that went. Text that
-the encoding of a stream does not have is shown as "?". Output at the exit of a command waits for no hanging reader.
+None of these is a reason for a command to fail: its results are files and its exit status. Characters that the
+encoding of a stream lacks are shown as "?". Output at the exit of a command waits for no hanging reader.
+
+Names of files, and texts in them, come from anywhere. Standard output and `say` escape their control characters, so
+that none of them moves the cursor, renames the window or reaches the clipboard. Colours, which a terminal gets from
+tables, pass.
 """
 
 from __future__ import annotations
@@ -9,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import select
 import sys
 from typing import Any, NoReturn, TextIO
@@ -28,7 +33,7 @@ def prepare_streams() -> None:
 
 
 def _open_nothing_at(number: int) -> None:
-    """A file that is opened later would otherwise get the number of a standard stream, and what is printed."""
+    """Otherwise a file that is opened later would get the number of a standard stream, and the printed text."""
     nothing = os.open(os.devnull, os.O_RDWR)
     if nothing != number:
         os.dup2(nothing, number)
@@ -44,11 +49,30 @@ def _for_any_reader(stream: Any) -> Any:
     if not stream.write_through:  # as with PYTHONUNBUFFERED
         file = io.BufferedWriter(file)
     like = {"line_buffering": stream.line_buffering, "write_through": stream.write_through}
-    return io.TextIOWrapper(file, encoding=stream.encoding, errors="replace", **like)
+    return _EscapingText(file, encoding=stream.encoding, errors="replace", **like)
+
+
+class _EscapingText(io.TextIOWrapper):
+    """Text stream that escapes control characters."""
+
+    def write(self, text: str) -> int:
+        super().write(_escaped(text, keeps_colours=self.isatty()))
+        return len(text)
+
+
+# A colour; or a control character but for tab and line feed, or a mark that reverses the direction of text.
+_CONTROL = re.compile("(\x1b\\[[0-9;]*m)|[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+def _escaped(text: str, *, keeps_colours: bool) -> str:
+    def shown(found: re.Match[str]) -> str:
+        return found[0] if keeps_colours and found[1] else found[0].encode("unicode_escape").decode()
+
+    return _CONTROL.sub(shown, text)
 
 
 class _DroppingFile(io.FileIO):
-    """A pipe that takes what is written after its reader has ended, as /dev/null does."""
+    """A pipe that accepts writes after its reader has ended, as /dev/null does."""
 
     def write(self, content: Any) -> int | None:
         try:
@@ -58,16 +82,17 @@ class _DroppingFile(io.FileIO):
 
 
 PATIENCE_S = 1.0  # for a reader to empty the pipe
-_CHUNK_BYTES = 512  # POSIX: where a pipe is ready for writing, so many bytes do not block
+_CHUNK_BYTES = 512  # POSIX: a pipe that is ready for writing takes this number of bytes without blocking
 
 
 def say(text: str, stream: TextIO) -> None:
-    """Writes lines to a standard stream. Text that a full pipe does not take within PATIENCE_S is left out."""
+    """Write lines to a standard stream. Text that a full pipe does not take within PATIENCE_S is left out."""
     try:
         number = stream.fileno()
         pipe = None if stream.isatty() else number
-    except (OSError, ValueError):  # no file: an object that collects text
+    except (OSError, ValueError):  # no file, but an object that collects text
         pipe = None
+    text = _escaped(text, keeps_colours=pipe is None)
     if pipe is None:
         print(text, file=stream, flush=True)
         return
@@ -80,18 +105,18 @@ def say(text: str, stream: TextIO) -> None:
 
 
 def exit_now_if_blocked(status: int) -> None:
-    """Ends this process where a standard stream is full: Python would wait for it, or fail, at exit."""
+    """End this process if a standard stream is full: Python would wait for it, or fail, at exit."""
     if not all(_is_writable(stream.fileno(), 0.0) for stream in (sys.stdout, sys.stderr)):
         os._exit(status)
 
 
 def exit_now(status: int) -> NoReturn:
-    """Ends this process without the usual end of Python, after what was printed."""
+    """Flush the streams, then end this process without the usual end of Python."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
 
 
 def _is_writable(number: int, seconds: float) -> bool:
-    """True where a descriptor takes data. Files always do, and so does a pipe without a reader: writing fails there."""
+    """Return True if a descriptor takes data, as files always do. A pipe without a reader does, too: writing fails."""
     return bool(select.select([], [number], [], seconds)[1])

@@ -12,7 +12,7 @@ from typing import Any
 
 from kinetix_dist.level.kinetix_walls import PublicWalls, check_nothing_falls_out, read_walls
 from kinetix_dist.level.level import NUM_MOTOR_COLOURS, NUM_THRUSTER_COLOURS, NUM_WALLS, Role
-from kinetix_dist.level.structure import LevelFormatError, number_problems, raise_first
+from kinetix_dist.level.structure import LevelFormatError, raise_first, size_problem, value_problems
 from kinetix_dist.level.walls import COLLIDES_WITH_ALL
 
 VERSION = "kinetix-env 3.0.2"
@@ -33,6 +33,8 @@ _PAIRS = ("position", "velocity", "a_relative_pos", "b_relative_pos", "relative_
 
 def check_kinetix(document: dict[str, Any]) -> PublicWalls:
     """Walls of a public document. Raises `LevelFormatError` for the first reason why the document cannot be read."""
+    if (too_large := size_problem(document)) is not None:
+        raise too_large
     state = document["env_state"]
     if not isinstance(state, dict):
         raise LevelFormatError("env_state", f"is {type(state).__name__}", _EXPORT_AGAIN)
@@ -90,7 +92,7 @@ def _active_rows(state: dict[str, Any], part: str, fields: tuple[str, ...]) -> d
             if field in _PAIRS:
                 _check_pair(row[field], f"{path}.{field}")
             elif field == "vertices":
-                raise_first(number_problems(row[field], f"{path}.{field}"))
+                raise_first(value_problems(row[field], f"{path}.{field}"))
             elif field in _FLAGS:
                 _check_flag(row[field], f"{path}.{field}")
             else:
@@ -107,7 +109,7 @@ def _check_flag(value: Any, path: str) -> None:
 def _check_number(value: Any, path: str) -> None:
     if not isinstance(value, int | float):
         raise LevelFormatError(path, f"is {value!r}", "give a number")
-    raise_first(number_problems(value, path))
+    raise_first(value_problems(value, path))
 
 
 def _check_pair(value: Any, path: str) -> None:
@@ -244,5 +246,5 @@ def _params(document: dict[str, Any], part: str) -> dict[str, Any]:
 def _is_usual(value: Any, usual: float, path: str) -> bool:
     if not isinstance(value, int | float):
         raise LevelFormatError(path, f"is {value!r}", "give a number")
-    raise_first(number_problems(value, path))
+    raise_first(value_problems(value, path))
     return math.isclose(value, usual, rel_tol=_SMALLEST_RELATIVE_DIFFERENCE)

@@ -72,15 +72,10 @@ def read_proof(path: Path) -> Proof:
     try:
         check_structure(document, levels_root() / "proofs" / "schema.json", see="docs/levels.md")
         fields = {key: value for key, value in document.items() if key not in ("format", "version", "num_steps")}
-        proof = Proof(**fields | {"actions": _decode(document["actions"])})
-        if proof.num_steps != document["num_steps"]:
-            raise LevelFormatError(
-                "actions", f"are {proof.num_steps} steps, num_steps is {document['num_steps']}", "find the proof again"
-            )
-        if proof.num_steps > proof.max_steps:
-            raise LevelFormatError(
-                "num_steps", f"is {proof.num_steps}, an episode has {proof.max_steps}", "find a shorter proof"
-            )
+        num_steps, max_steps = document["num_steps"], document["max_steps"]
+        if num_steps > max_steps:
+            raise LevelFormatError("num_steps", f"is {num_steps}, an episode has {max_steps}", "find a shorter proof")
+        proof = Proof(**fields | {"actions": _decode(document["actions"], num_steps)})
     except LevelFormatError as error:
         raise error.in_file(path) from None
     return proof
@@ -127,8 +122,12 @@ def _encode(actions: np.ndarray) -> str:
     return " ".join(f"{len(list(run))}*{word}" for word, run in itertools.groupby(words))
 
 
-def _decode(text: str) -> np.ndarray:
+def _decode(text: str, num_steps: int) -> np.ndarray:
+    """Inverse of `_encode`. Raises `LevelFormatError` before it makes room for another number of steps."""
     runs = [run.split("*") for run in text.split(" ")]
+    count = sum(int(count) for count, _ in runs)
+    if count != num_steps:
+        raise LevelFormatError("actions", f"are {count} steps, num_steps is {num_steps}", "find the proof again")
     return np.concatenate([np.tile([int(digit) for digit in word], (int(count), 1)) for count, word in runs]).astype(
         np.int32
     )

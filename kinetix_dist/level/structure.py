@@ -1,23 +1,32 @@
-"""Reading of JSON documents, and complaints about their numbers, types and ranges by a JSON schema.
+"""Reads JSON documents and reports faults of their size, numbers, texts, types and ranges, the latter by a JSON schema.
 
-Every complaint is one line: field, problem, remedy. `validate.py` checks the meaning of the fields. Level files of the
-public package's ecosystem that are no JSON (pickles of its editor and training, arrays) are recognised, named, and
-never loaded: loading a pickle runs the code in it.
+Every complaint is one printable line: field, problem, remedy. `validate.py` checks the meaning of the fields. Other
+files of the public package's ecosystem (pickles of its editor and training, arrays) are recognised, named, and never
+loaded: loading a pickle runs the code in it.
+
+Size comes first (`size_problem`): a schema needs 0.6 ms a shape, and names are compared with each other.
 """
 
 from __future__ import annotations
 
 import functools
-import json
 import math
+import unicodedata
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from kinetix_dist.text_files import decode_text, read_json
+from kinetix_dist.errors import printable, shortened
+from kinetix_dist.text_files import MAX_DEPTH, FileTooLargeError, loads_json, read_bytes, read_json
 
+MAX_LEVEL_BYTES = 4 << 20  # of a file of a level or a proof; the largest public one has 60 kB
+MAX_ENTRIES = 1000  # of a list of shapes, joints, thrusters or tags; the largest size has room for 16 shapes
+MAX_VALUES = 100_000  # numbers, texts, lists and objects of a document
+MAX_TEXT = 10_000  # characters of a text
 MAX_NUMBER = 1e6  # of any field, in its unit; float32 positions beyond it are 6 cm apart and coarser
+_MULTILINE = ("description",)  # fields whose text may have line breaks and tabs
+_SHOWN = 300  # characters of each part of a complaint
 _BOUNDS = {
     "minimum": "at least",
     "maximum": "at most",
@@ -27,19 +36,31 @@ _BOUNDS = {
 
 
 class LevelFormatError(ValueError):
-    """A level document is wrong; the message names the field and the remedy in one line."""
+    """A level document is wrong; the message names the field and the remedy in one line.
+
+    Its parts quote the document: they are shortened, and control characters in them are escaped.
+    """
 
     def __init__(self, path: str, problem: str, remedy: str) -> None:
-        super().__init__(f"{path}: {problem}; {remedy}" if path else f"{problem}; {remedy}")
-        self.path, self.problem, self.remedy = path, problem, remedy
+        self.path, self.problem, self.remedy = (_shown(part) for part in (path, problem, remedy))
+        what = f"{self.problem}; {self.remedy}"
+        super().__init__(f"{self.path}: {what}" if self.path else what)
 
     def in_file(self, file: object) -> LevelFormatError:
-        """The same complaint with the file before the field."""
-        return LevelFormatError(f"{file}: {self.path}" if self.path else str(file), self.problem, self.remedy)
+        """Return the same complaint with the file before the field."""
+        path = f"{file}: {self.path}" if self.path else str(file)
+        error = LevelFormatError("", self.problem, self.remedy)
+        error.path = printable(path)  # not shortened: callers look for the name of the file in it
+        error.args = (f"{error.path}: {self.problem}; {self.remedy}",)
+        return error
+
+
+def _shown(text: str) -> str:
+    return printable(shortened(text, _SHOWN))
 
 
 class LevelNote(UserWarning):
-    """A level differs from its file in one respect; one line says in which."""
+    """A level differs from its file in one respect, which one line names."""
 
 
 def raise_first(problems: Iterator[LevelFormatError]) -> None:
@@ -49,28 +70,79 @@ def raise_first(problems: Iterator[LevelFormatError]) -> None:
 
 
 def read_document(path: Path) -> Any:
-    """The JSON document of a level file of either format; raises `LevelFormatError` naming the file."""
-    content = path.read_bytes()
-    if kind := kind_of_bytes(content):
-        raise LevelFormatError(str(path), f"is {kind}", REMEDY)
+    """Return the JSON document of a level file of either format. Raises `LevelFormatError` naming the file."""
     try:
-        return json.loads(decode_text(content))
-    except (ValueError, RecursionError) as error:  # also text that is not UTF-8, whole numbers of 4,300 digits
-        raise LevelFormatError(str(path), f"is not JSON ({error})", "correct it at that place") from error
+        content = read_bytes(path, MAX_LEVEL_BYTES)
+    except FileTooLargeError as error:
+        raise LevelFormatError("", str(error), "a level file has a few kB").in_file(path) from error
+    if kind := kind_of_bytes(content):
+        raise LevelFormatError("", f"is {kind}", REMEDY).in_file(path)
+    try:
+        return loads_json(content)
+    except ValueError as error:  # also text that is not UTF-8, and NaN
+        raise LevelFormatError("", f"is not JSON ({error})", "correct it at that place").in_file(path) from error
 
 
-def number_problems(value: Any, path: str = "") -> Iterator[LevelFormatError]:
-    """Complaints about numbers in a JSON value that are not finite or beyond MAX_NUMBER."""
+def size_problem(document: Any) -> LevelFormatError | None:
+    """Return the first complaint that a document is too large or too deep to be checked, in time linear in the limits.
+
+    Lists of a level have at most MAX_ENTRIES entries. Only MAX_VALUES bounds the caches of a public document.
+    """
+    num_values = 0
+    waiting: list[tuple[Any, str, int]] = [(document, "", 0)]
+    while waiting:
+        value, path, depth = waiting.pop()
+        if isinstance(value, str) and len(value) > MAX_TEXT:
+            return LevelFormatError(path, f"has {len(value):,} characters", f"give at most {MAX_TEXT:,}")
+        if not isinstance(value, dict | list):
+            continue
+        if depth == MAX_DEPTH:
+            return LevelFormatError(path, "is nested too deeply", f"nest at most {MAX_DEPTH} lists and objects")
+        if isinstance(value, list) and len(value) > MAX_ENTRIES and path.rpartition(".")[2] not in _CACHES:
+            return LevelFormatError(path, f"has {len(value):,} entries", f"give at most {MAX_ENTRIES:,}")
+        num_values += len(value)
+        if num_values > MAX_VALUES:
+            return LevelFormatError("", f"has more than {MAX_VALUES:,} values", "a level has a few hundred")
+        entries = value.items() if isinstance(value, dict) else enumerate(value)
+        waiting += [(inner, _below(path, name), depth + 1) for name, inner in entries]
+    return None
+
+
+def value_problems(value: Any, path: str = "") -> Iterator[LevelFormatError]:
+    """Complain about numbers that are not finite or beyond MAX_NUMBER, and about control characters in texts and keys.
+
+    A control character in a name would reach every terminal that shows the name.
+    """
     if isinstance(value, float) and not math.isfinite(value):
         yield LevelFormatError(path, f"is {value}", "give a finite number")
     elif isinstance(value, int | float) and abs(value) > MAX_NUMBER:
         yield LevelFormatError(path, f"is {_short(value)}", f"give a number between -{MAX_NUMBER:g} and {MAX_NUMBER:g}")
+    elif isinstance(value, str):
+        yield from _text_problems(value, path)
     elif isinstance(value, dict):
         for key, inner in value.items():
-            yield from number_problems(inner, f"{path}.{key}" if path else str(key))
+            yield from _text_problems(str(key), path)
+            yield from value_problems(inner, _below(path, key))
     elif isinstance(value, list):
         for i, inner in enumerate(value):
-            yield from number_problems(inner, f"{path}[{i}]")
+            yield from value_problems(inner, _below(path, i))
+
+
+def _below(path: str, name: str | int) -> str:
+    """Return the path of an entry. Its middle is cut: a hundred thousand entries may have paths of long keys."""
+    if isinstance(name, int):
+        return shortened(f"{path}[{name}]", _SHOWN)
+    return shortened(f"{path}.{name}" if path else name, _SHOWN)
+
+
+def _text_problems(text: str, path: str) -> Iterator[LevelFormatError]:
+    if text.isprintable():
+        return
+    allowed = "\n\r\t" if path in _MULTILINE else ""
+    for char in text:
+        if unicodedata.category(char) in ("Cc", "Cs") and char not in allowed:
+            yield LevelFormatError(path, f"has the control character {char!r}", "remove it")
+            return
 
 
 def structure_problems(document: Any, schema_file: Path, *, see: str) -> Iterator[LevelFormatError]:
@@ -110,7 +182,7 @@ def _problems_of_error(error: Any, see: str) -> Iterator[LevelFormatError]:
                 f"{path}.{unknown}".lstrip("."), "is not a field of the format", f"fields here: {', '.join(known)}"
             )
     elif path == "size" and error.validator == "enum":
-        yield LevelFormatError(path, f"unknown size {given!r}", f"use one of {', '.join(limit)}")
+        yield LevelFormatError(path, f"unknown size {_short(given)}", f"use one of {', '.join(limit)}")
     elif error.validator in ("enum", "const"):
         allowed = ", ".join(map(repr, limit)) if error.validator == "enum" else repr(limit)
         yield LevelFormatError(path, f"is {_short(given)}", f"use {allowed}")
@@ -133,8 +205,7 @@ def _path_text(parts: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else text[:37] + "..."
+    return shortened(repr(value), 40)
 
 
 REMEDY = "write each level as JSON, in the public package with `export_env_state_to_json`"
@@ -146,6 +217,7 @@ _KINDS = {
     b"\x93NUMPY": "a NumPy array",
     b"\x89HDF": "an HDF5 file",
 }  # by their first bytes, none of which begins a JSON text
+_CACHES = ("acc_rr_manifolds", "acc_cr_manifolds", "acc_cc_manifolds")  # of a public document: entries for pairs
 _ZARR_FILES = (".zgroup", ".zarray", ".zmetadata", "zarr.json")
 _SUFFIXES = (".pkl", ".pickle", ".pbz2", ".npz", ".npy", ".zarr", ".h5", ".hdf5", ".zip", ".gz", ".msgpack")
 
@@ -156,12 +228,12 @@ def kind_of_bytes(content: bytes) -> str | None:
 
 
 def is_zarr_store(directory: Path) -> bool:
-    """True of a directory that is a store of arrays, whose JSON files are no levels."""
+    """Return True for a store of arrays, whose JSON files hold no levels."""
     return any((directory / name).is_file() for name in _ZARR_FILES)
 
 
 def foreign_files(directory: Path) -> str:
-    """Counts of known other files in a directory without levels, to end a complaint with; empty if there are none."""
+    """Counts of known other files in a directory without levels, to end a complaint with; may be empty."""
     found = Counter(path.suffix for path in directory.rglob("*") if path.suffix in _SUFFIXES)
     counts = ", ".join(f"{count} {suffix}" for suffix, count in sorted(found.items()))
     return f"; {counts} cannot be read here: {REMEDY}" if found else ""

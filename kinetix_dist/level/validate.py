@@ -20,10 +20,11 @@ from kinetix_dist.level.level import NUM_WALLS
 from kinetix_dist.level.level_data import levels_root
 from kinetix_dist.level.structure import (
     LevelFormatError,
-    number_problems,
     raise_first,
     read_document,
+    size_problem,
     structure_problems,
+    value_problems,
 )
 from kinetix_dist.level.walls import WALL_CENTRES_M, WALL_NAMES
 
@@ -52,7 +53,10 @@ def validate_document(document: Any, capacity: Capacity, size_name: str | None =
 
 
 def problems_of(document: Any, capacity: Capacity, size_name: str | None = None) -> Iterator[LevelFormatError]:
-    """All faults of a level of at most this capacity, one `LevelFormatError` each."""
+    """Yield all faults of a level of at most this capacity. If the document is too large, that is the only one."""
+    if (too_large := size_problem(document)) is not None:
+        yield too_large
+        return
     bad_paths = []
     for problem in _structure_of(document):
         bad_paths.append(problem.path)
@@ -83,8 +87,8 @@ def problems_of(document: Any, capacity: Capacity, size_name: str | None = None)
 
 
 def _structure_of(document: Any) -> Iterator[LevelFormatError]:
-    """Complaints about numbers first. NaN is a number to the schema, so that nothing is reported twice."""
-    yield from number_problems(document)
+    """Complain about numbers and texts first. NaN is a number to the schema, so that nothing is reported twice."""
+    yield from value_problems(document)
     yield from structure_problems(document, levels_root() / "schema.json", see="docs/level_format.md")
 
 

@@ -72,3 +72,39 @@ def test_last_words_are_in_the_encoding_of_their_stream(tmp_path):
         say("a \u2022 b", stream)
     with os.fdopen(reads, "rb") as pipe:
         assert pipe.read() == b"a ? b\n"
+
+
+HOSTILE = "\x1b]0;mine\x07\x1b[2J\x9b2J\r\u202e"
+
+
+def test_control_characters_in_names_of_files_reach_no_terminal(tmp_path):
+    level = tmp_path / f"level{HOSTILE}.json"
+    level.write_bytes((REPOSITORY / "levels/s/hop_home.json").read_bytes())
+    for arguments in (["levels", "list"], ["levels", "validate", "--no-play"], ["levels", "export"]):
+        done = subprocess.run(
+            [*COMMAND, *arguments, str(tmp_path)], cwd=REPOSITORY, capture_output=True, text=True, timeout=PATIENCE_S
+        )
+        shown = done.stdout + done.stderr
+        assert shown and not set(HOSTILE) - set("]0;mine[2J") & set(shown), shown
+
+
+def test_a_terminal_gets_colours_and_nothing_else(tmp_path):
+    controller, terminal = os.openpty()
+    with os.fdopen(terminal, "w", closefd=True) as opened:
+        stream = _for_any_reader(opened)
+        print(f"\x1b[31mred\x1b[0m {HOSTILE}", file=stream, flush=True)
+        say(f"\x1b[1mbold\x1b[0m {HOSTILE}", stream)
+        shown = b""
+        while shown.count(b"\n") < 2:
+            shown += os.read(controller, 1000)
+    os.close(controller)
+    escaped = r"\x1b]0;mine\x07\x1b[2J\x9b2J\r\u202e"
+    assert shown.decode().split("\r\n")[:2] == [f"\x1b[31mred\x1b[0m {escaped}", f"\x1b[1mbold\x1b[0m {escaped}"]
+
+
+def test_a_pipe_gets_no_colours():
+    reads, writes = os.pipe()
+    with os.fdopen(writes, "w") as stream:
+        say("\x1b[31mred", stream)
+    with os.fdopen(reads, "rb") as pipe:
+        assert pipe.read() == b"\\x1b[31mred\n"

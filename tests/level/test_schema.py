@@ -264,5 +264,5 @@ def test_a_bad_file_is_named(tmp_path: Path) -> None:
     document = cart_document()
     document["shapes"][2]["radius"] = math.nan
     path.write_text(json.dumps(document))
-    with pytest.raises(LevelFormatError, match=r"bad\.json: shapes\[2\]\.radius: is nan"):
+    with pytest.raises(LevelFormatError, match=r"bad\.json: is not JSON \(shapes\[2\]\.radius is nan"):
         load_level(path)

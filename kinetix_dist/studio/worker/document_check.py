@@ -14,8 +14,6 @@ from kinetix_dist.level.schema import level_from_json
 from kinetix_dist.level.start_warnings import StartWarning, paths_in, start_warnings
 from kinetix_dist.level.validate import LevelFormatError, problems_of
 
-MAX_ENTRIES = 1000  # shapes, joints or thrusters of a document that is checked: the largest size has 16
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Checked:
@@ -46,10 +44,6 @@ def _problems(document: Any) -> list[LevelFormatError]:
         return [LevelFormatError("", "is a level of the public package", "convert it to this format first")]
     if not isinstance(document, dict):
         return [LevelFormatError("", f"is {type(document).__name__}", "give a JSON object")]
-    for part in ("shapes", "joints", "thrusters"):
-        entries = document.get(part)
-        if isinstance(entries, list) and len(entries) > MAX_ENTRIES:
-            return [LevelFormatError(part, f"has {len(entries)} entries", f"give at most {MAX_ENTRIES}")]
     size = document.get("size")
     # A document without a size, itself a problem, is checked against the largest size.
     name = size if isinstance(size, str) and size in SIZES else list(SIZES)[-1]
