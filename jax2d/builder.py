@@ -29,9 +29,9 @@ from jax2d.builder_checks import (
     SceneError,
     SceneFullError,
     check_polygon,
+    direction,
     finite,
     in_units,
-    number,
     one_of,
     positive,
 )
@@ -190,7 +190,9 @@ class SceneBuilder:
         bound how far it has slid from where it stands now, in m. With a speed a control drives b along the axis:
         `speed` in m/s, or `motor_speed` in units of settings.base_slider_speed; `max_force` in N, with the bodies as
         they stand now, or `motor_power` (1 by default). `drive` as in add_revolute_joint."""
-        return self._add_joint(a, b, at, JointKind.PRISMATIC, PrismaticMotor(**motor), number("axis_angle", axis_angle))
+        return self._add_joint(
+            a, b, at, JointKind.PRISMATIC, PrismaticMotor(**motor), direction("axis_angle", axis_angle)
+        )
 
     def add_fixed_joint(self, a: int, b: int, *, at: Point) -> int:
         """Welds a and b together as they stand."""
@@ -234,7 +236,7 @@ class SceneBuilder:
         if force is not None:
             power = in_units("force", positive("force", force), self.settings, "base_thruster_power")
         position = self._to_local(body, at)
-        local_angle = number("angle", angle) - self._angle[body]
+        local_angle = direction("angle", angle) - self._angle[body]
         power = positive("power", 1.0 if power is None else power)
         index = self._take("thrusters", self._thrusters)
         self._thrusters += 1

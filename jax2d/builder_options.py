@@ -23,6 +23,7 @@ from jax2d.builder_checks import (
     LARGEST,
     Point,
     SceneError,
+    direction,
     finite,
     flag,
     in_units,
@@ -154,7 +155,7 @@ def body_of(area: float, second_moment: float, options: BodyOptions, capacity: C
         **_extended(o, capacity, has_mass=has_mass),
     }
     allowed = Filter(_bits("category", o.category), _bits("mask", o.mask))
-    return Body(shape, finite("position", o.position, 2), number("angle", o.angle), velocity, spin, allowed)
+    return Body(shape, finite("position", o.position, 2), direction("angle", o.angle), velocity, spin, allowed)
 
 
 def _extended(o: BodyOptions, capacity: Capacity, *, has_mass: bool) -> dict[str, float]:

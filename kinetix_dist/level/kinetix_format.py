@@ -22,7 +22,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from jax2d.builder_checks import reduced
 from jax2d.scene import Capacity, JointKind
+from kinetix_dist.level.angles import reduced_rest_angle
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.fit import capacity_of
 from kinetix_dist.level.kinetix_checks import check_kinetix, param_notes, public_params, public_static_params
@@ -97,11 +99,13 @@ def _read_state(state: dict[str, Any], walls: PublicWalls) -> Level:
     scene = level.scene
     scene.shapes.active[:] = [shape["active"] for shape in polygons + circles]
     is_fixed = ~scene.shapes.active
+    shifts = np.zeros(capacity.shapes)  # rad, of angles that are reduced
     for slot, shape in enumerate(polygons + circles):
         if not shape["active"]:
             continue
         level.position[slot] = _pair(shape["position"])
-        level.angle[slot] = shape["rotation"]
+        level.angle[slot] = reduced(shape["rotation"])
+        shifts[slot] = reduced(shape["rotation"]) - shape["rotation"]
         level.velocity[slot] = _pair(shape["velocity"])
         level.angular_velocity[slot] = shape["angular_velocity"]
         level.shape_role[slot] = shape["role"]
@@ -125,7 +129,11 @@ def _read_state(state: dict[str, Any], walls: PublicWalls) -> Level:
         scene.joints.anchor_a[slot] = _pair(joint["a_relative_pos"])
         scene.joints.anchor_b[slot] = _pair(joint["b_relative_pos"])
         scene.joints.kind[slot] = JointKind.FIXED if joint["is_fixed_joint"] else JointKind.REVOLUTE
-        scene.joints.rest_angle[slot] = joint["rotation"]
+        scene.joints.rest_angle[slot] = reduced_rest_angle(
+            joint["rotation"],
+            shifts[joint["b_index"]] - shifts[joint["a_index"]],
+            counts_turns=joint["motor_has_joint_limits"],
+        )
         scene.joints.motor_on[slot] = joint["motor_on"]
         scene.joints.motor_speed[slot] = joint["motor_speed"]
         scene.joints.motor_power[slot] = joint["motor_power"]
@@ -139,7 +147,7 @@ def _read_state(state: dict[str, Any], walls: PublicWalls) -> Level:
         scene.thrusters.active[slot] = True
         scene.thrusters.body[slot] = thruster["object_index"]
         scene.thrusters.position[slot] = _pair(thruster["relative_position"])
-        scene.thrusters.angle[slot] = thruster["rotation"]
+        scene.thrusters.angle[slot] = reduced(thruster["rotation"])
         scene.thrusters.power[slot] = thruster["power"]
         level.thruster_colour[slot] = thruster["thruster_binding"]
     scene.gravity[:] = _pair(state["gravity"])

@@ -18,8 +18,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from jax2d.builder_checks import reduced
 from jax2d.scene import Capacity
 from kinetix_dist.atomic_files import replace_file
+from kinetix_dist.level.angles import reduced_rest_angle
 from kinetix_dist.level.canonical import in_order, turn_round, turned_colours
 from kinetix_dist.level.derive import complete
 from kinetix_dist.level.document import COLLISION_NAMES, JOINT_KINDS, LevelInfo, dump_document, level_to_json
@@ -104,8 +106,9 @@ def document_info(document: dict[str, Any]) -> LevelInfo:
 
 
 def _assemble(document: dict[str, Any], capacity: Capacity) -> tuple[Level, np.ndarray]:
-    """The level of a document before masses are derived, and `is_fixed` [n]."""
+    """Return the level of a document before masses are derived, and `is_fixed` [n]."""
     level = empty_level(capacity)
+    shifts = np.zeros(capacity.shapes)  # rad, of angles that are reduced
     scene = level.scene
     is_fixed = np.asarray(scene.shapes.active).copy()  # the walls
     slots = {name: slot for slot, name in enumerate(WALL_NAMES)}
@@ -127,12 +130,14 @@ def _assemble(document: dict[str, Any], capacity: Capacity) -> tuple[Level, np.n
         scene.shapes.density[slot] = shape.get("density", 1.0)
         _fill_surface(level, slot, shape)
         level.position[slot] = shape["position"]
-        level.angle[slot] = shape.get("angle", 0.0)
+        angle = shape.get("angle", 0.0)
+        level.angle[slot] = reduced(angle)
+        shifts[slot] = reduced(angle) - angle
         level.velocity[slot] = shape.get("velocity", (0.0, 0.0))
         level.angular_velocity[slot] = shape.get("angular_velocity", 0.0)
         level.collision_mode[slot] = COLLISION_NAMES.index(shape.get("collision", "normal"))
     for slot, joint in enumerate(document.get("joints", [])):
-        _fill_joint(level, slot, joint, slots)
+        _fill_joint(level, slot, joint, slots, shifts)
     for slot, thruster in enumerate(document.get("thrusters", [])):
         body = slots[thruster["shape"]]
         scene.thrusters.active[slot] = True
@@ -141,7 +146,7 @@ def _assemble(document: dict[str, Any], capacity: Capacity) -> tuple[Level, np.n
             scene.thrusters.position[slot] = _to_local(level, body, thruster["anchor"])
         else:
             scene.thrusters.position[slot] = thruster.get("position", (0.0, 0.0))
-        scene.thrusters.angle[slot] = thruster["angle"]
+        scene.thrusters.angle[slot] = reduced(thruster["angle"])
         scene.thrusters.power[slot] = thruster.get("power", 1.0)
         level.thruster_colour[slot] = thruster.get("colour", 0)
     scene.gravity[:] = document.get("gravity", (0.0, -9.81))
@@ -161,7 +166,7 @@ def _fill_surface(level: Level, slot: int, entry: dict[str, Any]) -> None:
     level.shape_role[slot] = ROLE_NAMES.index(entry.get("role", "none"))
 
 
-def _fill_joint(level: Level, slot: int, joint: dict[str, Any], slots: dict[str, int]) -> None:
+def _fill_joint(level: Level, slot: int, joint: dict[str, Any], slots: dict[str, int], shifts: np.ndarray) -> None:
     scene = level.scene
     a, b = slots[joint["a"]], slots[joint["b"]]
     scene.joints.active[slot] = True
@@ -172,8 +177,12 @@ def _fill_joint(level: Level, slot: int, joint: dict[str, Any], slots: dict[str,
     else:
         scene.joints.anchor_a[slot], scene.joints.anchor_b[slot] = joint["anchor_a"], joint["anchor_b"]
     scene.joints.kind[slot] = JOINT_KINDS[joint["type"]]
-    scene.joints.rest_angle[slot] = joint.get("rest_angle", float(level.angle[b] - level.angle[a]))
-    scene.joints.axis_angle[slot] = joint.get("axis", 0.0)
+    scene.joints.rest_angle[slot] = (
+        reduced_rest_angle(joint["rest_angle"], shifts[b] - shifts[a], counts_turns="limits" in joint)
+        if "rest_angle" in joint
+        else float(level.angle[b] - level.angle[a])
+    )
+    scene.joints.axis_angle[slot] = reduced(joint.get("axis", 0.0))
     if "limits" in joint:
         scene.joints.has_limits[slot] = True
         scene.joints.lower_limit[slot], scene.joints.upper_limit[slot] = joint["limits"]
