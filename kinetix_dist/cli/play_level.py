@@ -68,6 +68,7 @@ def _level_to_open(given: str) -> str:
 def _player(policy: str) -> tuple[str, tuple[Path, ...]]:
     """Name of a policy on pages, and the runs that are served for it."""
     from kinetix_dist.checkpoint.store import pretrained_names
+    from kinetix_dist.studio.runs.address_names import address_name
     from kinetix_dist.studio.runs.run_files import is_run
 
     if policy in WITHOUT_A_NETWORK:
@@ -76,7 +77,7 @@ def _player(policy: str) -> tuple[str, tuple[Path, ...]]:
         return f"checkpoint:{policy}", ()
     run = Path(policy)
     if is_run(run):
-        return f"run:{run.resolve().name}", (run.resolve(),)
+        return f"run:{address_name(run.resolve().name)}", (run.resolve(),)
     known = [*WITHOUT_A_NETWORK, *pretrained_names()]
     hint = did_you_mean(policy, known, f"there are {', '.join(known)}")
     raise UserError(f"--policy {policy} is no run directory and no policy; {hint}")

@@ -243,7 +243,7 @@ def test_a_document_with_a_thousand_things_is_refused_at_once() -> None:
     document = level_document()
     document["shapes"] = [copy.deepcopy(document["shapes"][0]) for _ in range(10_000)]
     (problem,) = check_document(document).problems
-    assert str(problem) == "shapes: has 10000 entries; give at most 1000"
+    assert str(problem) == "shapes: has 10,000 entries; give at most 1,000"
 
 
 def test_random_damage_never_breaks_the_check() -> None:

@@ -52,7 +52,7 @@ def test_a_file_is_saved_over_what_was_read_and_nothing_else(files: LevelFiles, 
     assert (tmp_path / "a.json").stat().st_mode & 0o777 == 0o640
     with pytest.raises(ConflictError, match="changed elsewhere") as found:
         files.save("a.json", "newer", was=read.hash)
-    assert found.value.found == saved and (tmp_path / "a.json").read_text() == "new"
+    assert found.value.hash == saved and (tmp_path / "a.json").read_text() == "new"
     with pytest.raises(ConflictError, match="is there already"):
         files.save("a.json", "newer", was=None)
     (tmp_path / "a.json").unlink()

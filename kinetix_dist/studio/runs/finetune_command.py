@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 from collections.abc import Sequence
@@ -20,7 +21,14 @@ def finetune_lines(run: Path, levels: str, *, archive: str | None) -> list[str]:
         words += ["--from", str(run.resolve())]
     words += ["--levels", levels, "--run", f"runs/finetune-{plain_name(levels)}"]
     unpack = [] if archive is None else [shlex.join(["python3", "-m", "zipfile", "-e", archive, levels])]
-    return [*unpack, shlex.join(words)]
+    return [*unpack, " ".join(map(_quoted, words))]
+
+
+def _quoted(word: str) -> str:
+    """Return a word for a shell, in printable characters also if it holds bytes that are not UTF-8."""
+    if word.isprintable():
+        return shlex.quote(word)
+    return "$'" + "".join(f"\\x{byte:02x}" for byte in os.fsencode(word)) + "'"
 
 
 def has_checkpoint(run: Path) -> bool:

@@ -1,7 +1,8 @@
 """Index of the runs below the paths that a person named, with the status of each.
 
 A path is a run or a directory of runs (two levels deep). Runs that appear later are found; removed ones are left
-out. The name of a run in addresses is that of its directory, made unique where two have the same.
+out. A run that links lead to as well is one run. Its name in addresses is that of its directory (`address_name`), made
+unique if two have the same.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 
 from kinetix_dist.errors import UserError, one_line
 from kinetix_dist.studio.runs import run_files
+from kinetix_dist.studio.runs.address_names import address_name
 from kinetix_dist.studio.runs.evaluations import newest_rates
 from kinetix_dist.studio.runs.run_files import RunFileError, last_row, read_object
 from kinetix_dist.telemetry.json_lines import utc_seconds
@@ -89,15 +91,16 @@ class RunIndex:
     def scan(self) -> dict[str, Path]:
         """Ids and directories of the runs that exist now."""
         self.problems = []
-        found: dict[str, Path] = {}
+        runs: dict[Path, Path] = {}  # by the place that links lead to
         for root in self._roots:
             for path in self._runs_below(root, DEPTH):
-                if len(found) >= MAX_RUNS:
-                    self.problems.append(f"more than {MAX_RUNS} runs; name fewer directories")
-                    break
-                found[self._id_of(path)] = path
-        self.runs = found
-        return found
+                place = path.resolve()
+                if place not in runs or place == path:
+                    runs[place] = path
+        if len(runs) > MAX_RUNS:
+            self.problems.append(f"more than {MAX_RUNS} runs; name fewer directories")
+        self.runs = {self._id_of(path): path for path in [*runs.values()][:MAX_RUNS]}
+        return self.runs
 
     def _runs_below(self, path: Path, depth: int) -> list[Path]:
         if run_files.is_run(path):
@@ -114,10 +117,11 @@ class RunIndex:
 
     def _id_of(self, path: Path) -> str:
         if path not in self._ids:
-            name, number, taken = path.name, 1, set(self._ids.values())
+            own, number, taken = address_name(path.name), 1, set(self._ids.values())
+            name = own
             while name in taken:
                 number += 1
-                name = f"{path.name}~{number}"
+                name = f"{own}~{number}"
             self._ids[path] = name
         return self._ids[path]
 

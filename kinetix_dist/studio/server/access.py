@@ -23,6 +23,8 @@ from urllib.parse import urlsplit
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
+from kinetix_dist.errors import one_line
+
 TOKEN_BYTES = 24
 # A browser with a window requests the icon of every page: the one that is linked, else /favicon.ico.
 ICON = "static/icon.svg"
@@ -91,7 +93,7 @@ class Access:
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         problem = self.refusal_of_origin(request.headers.get("Host"), request.headers.get("Origin"))
         if problem is not None:
-            return web.Response(status=403, text=problem + "\n")
+            return web.Response(status=403, text=one_line(problem) + "\n")
         if "token" in request.query:
             return self._exchange(request)
         if not request.path.startswith(self._open_paths) and not self._has_cookie(request):
@@ -107,9 +109,8 @@ class Access:
             return f"host {name or host!r} is not served; start with --allow-host {name or 'NAME'} if it is yours"
         if origin is None:
             return None
-        parts = urlsplit(origin)
-        is_own = parts.netloc.lower() == (host or "").lower()
-        if not is_own and _host_name(parts.netloc) not in self._allowed:
+        netloc = urlsplit(origin).netloc
+        if netloc.lower() != (host or "").lower() and _host_name(netloc) not in self._allowed:
             return f"origin {origin} is not this server"
         return None
 

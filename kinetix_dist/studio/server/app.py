@@ -33,6 +33,7 @@ from kinetix_dist.studio.server.compare_pages import ComparePages
 from kinetix_dist.studio.server.editor_pages import EditorConfig, EditorPages
 from kinetix_dist.studio.server.evaluation_pages import EvaluationPages
 from kinetix_dist.studio.server.level_pages import CurriculumPages, LevelPages, worker_error_response
+from kinetix_dist.studio.server.malformed import quiet_malformed, refuse_malformed
 from kinetix_dist.studio.server.rerun_viewer import OPEN_PATH, RerunViewer
 from kinetix_dist.studio.server.responses import BadRequestError, StaticFiles, error_response
 from kinetix_dist.studio.server.run_pages import RunPages
@@ -91,7 +92,7 @@ def make_app(config: ServerConfig, access: Access) -> web.Application:
         await verdicts.close()
         await worker.close()
 
-    middlewares = [access.middleware, one_line_errors, _find_new_runs(service)]
+    middlewares = [refuse_malformed, access.middleware, one_line_errors, _find_new_runs(service)]
     app = web.Application(middlewares=middlewares, client_max_size=MAX_BODY_BYTES)
     app.on_response_prepare.append(access.add_headers)
     rerun = RerunViewer(service, worker)
@@ -135,9 +136,9 @@ async def one_line_errors(request: web.Request, handler: Handler) -> web.StreamR
     except web.HTTPException:
         raise
     except Exception as error:
-        LOG.exception("a request was not answered: %s", request.path)
+        LOG.exception("a request was not answered: %s", one_line(request.path))
         return error_response(
-            500, f"a bug in the server ({type(error).__name__}: {error}); its console has the traceback"
+            500, f"a bug in the server ({type(error).__name__}: {one_line(error)}); its console has the traceback"
         )
 
 
@@ -197,6 +198,7 @@ async def _serve(app: web.Application, listener: socket.socket, listening: Calla
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
+    logging.getLogger("aiohttp.server").addFilter(quiet_malformed)
     runner = web.AppRunner(app, access_log=None, shutdown_timeout=SHUTDOWN_SECONDS)  # a log would hold the token
     await runner.setup()
     try:

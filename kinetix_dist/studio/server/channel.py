@@ -27,10 +27,12 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
+from kinetix_dist.errors import one_line
 from kinetix_dist.studio.runs.run_reader import Changes, RunReader
 from kinetix_dist.studio.server.play_channel import PlayChannel
 from kinetix_dist.studio.server.run_service import RunService
 from kinetix_dist.studio.server.worker_client import WorkerClient
+from kinetix_dist.text_files import loads_json
 
 VERSION = 1
 MAX_WAITING = 256  # messages for a page that does not read; then it is closed, and reconnects
@@ -113,12 +115,12 @@ class Channel:
 
     async def _on_message(self, text: str) -> None:
         try:
-            message = json.loads(text)
+            message = loads_json(text)
             await self._handle(message["type"], message)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            self.send("error", text=f"the message is not understood ({type(error).__name__}: {error})")
+            self.send("error", text=one_line(f"the message is not understood ({type(error).__name__}: {error})"))
         except LookupError as error:
-            self.send("error", text=str(error.args[0] if error.args else error))
+            self.send("error", text=one_line(str(error.args[0] if error.args else error)))
 
     async def _handle(self, kind: str, message: dict[str, Any]) -> None:
         if kind == "hello":

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from aiohttp import web
 
 from kinetix_dist.level.level_data import designed_sets, levels_root
 from kinetix_dist.studio.server.level_files import ConflictError, FileNameError, LevelFiles
+from kinetix_dist.studio.server.malformed import body_text, json_object
 from kinetix_dist.studio.server.responses import BadRequestError, error_response, json_response
 from kinetix_dist.studio.server.worker_client import WorkerClient
 from kinetix_dist.text_files import read_text
@@ -97,13 +97,11 @@ class EditorPages:
 
     async def save(self, request: web.Request) -> web.Response:
         files, name = self._named_files(), request.match_info["name"]
-        text = await request.text()
+        text = await body_text(request)
         try:
-            is_object = isinstance(json.loads(text), dict)
-        except (ValueError, RecursionError) as error:
-            raise BadRequestError(f"{name}: is not JSON ({error}); nothing was saved") from error
-        if not is_object:
-            raise BadRequestError(f"{name}: is no JSON object; nothing was saved")
+            json_object(text, f"{name}:")
+        except BadRequestError as error:
+            raise BadRequestError(f"{error}; nothing was saved") from error
         was = _expected(request)
         return await _answer(lambda: {"hash": files.save(name, text, was=was)})
 
@@ -129,9 +127,11 @@ async def _answer(act: Callable[[], dict[str, Any]]) -> web.Response:
     except FileNameError as error:
         return error_response(400, str(error))
     except ConflictError as error:
-        return json_response({"error": str(error), "hash": error.found}, status=412)
+        return json_response({"error": str(error), "hash": error.hash}, status=412)
     except FileNotFoundError as error:
         return error_response(404, f"there is no file {error.filename} (any more)")
+    except PermissionError as error:
+        return error_response(403, f"{error.filename}: {error.strerror}; nothing was changed")
     except OSError as error:
         return error_response(507, f"{error.filename}: {error.strerror}; nothing was changed")
 

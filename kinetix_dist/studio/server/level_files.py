@@ -1,35 +1,33 @@
 """Level files of the directory (or the one file) that a person named on the command line: listed, read, saved.
 
-A file is known by the SHA-256 of its bytes. Saving names the hash that the file had when it was read: a file that
-changed since is left as it is. Saving is atomic: the file is new as a whole, or as before.
+A file is identified by the SHA-256 of its bytes. A save names the hash that the file had when it was read: a file that
+changed since stays as it is, also if two pages or two servers save at once. Saving is atomic and follows links.
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
-import os
-import tempfile
 from pathlib import Path
 
-from kinetix_dist.text_files import decode_text
+from kinetix_dist.atomic_files import compare_and_replace
+from kinetix_dist.level.structure import MAX_LEVEL_BYTES
+from kinetix_dist.text_files import FileTooLargeError, decode_text, read_bytes
 
 SUFFIX = ".json"
-MAX_FILE_BYTES = 4 << 20  # of a level file; the largest public one has 60 kB
 MAX_LISTED = 2000
 
 
 class FileNameError(ValueError):
-    """Name of no level file of the directory."""
+    """The name is not that of a level file of the directory, or the file is not one."""
 
 
 class ConflictError(Exception):
-    """The file changed since it was read. `found`: its hash now; None: it is gone."""
+    """The file changed since it was read. `hash` is the current one, or None if the file is gone."""
 
-    def __init__(self, text: str, found: str | None) -> None:
+    def __init__(self, text: str, hash: str | None) -> None:
         super().__init__(text)
-        self.found = found
+        self.hash = hash
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -43,7 +41,7 @@ class LevelFile:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LevelFiles:
-    """Level files of a directory and of folders in it; `only`: the one that is listed, read and saved, None: all."""
+    """Level files of a directory and of folders in it. `only` names a single file to list, read and save."""
 
     directory: Path
     only: str | None = None
@@ -57,32 +55,39 @@ class LevelFiles:
         return sorted(name for name in names if self._is_name(name))[:MAX_LISTED]
 
     def read(self, name: str) -> LevelFile:
-        """Reads a file. Raises FileNameError (also for what is no UTF-8), FileNotFoundError, OSError."""
+        """Read a file. Raises FileNameError (also if it is not UTF-8), FileNotFoundError, OSError."""
         path = self._path(name)
-        with path.open("rb") as file:
-            content = file.read(MAX_FILE_BYTES + 1)
-        if len(content) > MAX_FILE_BYTES:
-            raise FileNameError(f"{name} has more than {MAX_FILE_BYTES >> 20} MiB; a level file has a few kB")
         try:
+            content = read_bytes(path, MAX_LEVEL_BYTES)
             text = decode_text(content)
+        except FileTooLargeError as error:
+            raise FileNameError(f"{name}: {error}; a level file has a few kB") from error
         except UnicodeDecodeError as error:
             raise FileNameError(f"{name} is no text ({error.reason} at byte {error.start})") from error
         return LevelFile(name=name, text=text, hash=hash_of(content))
 
     def save(self, name: str, text: str, *, was: str | None) -> str:
-        """Saves a text and returns the hash of the file. was: the hash that it must have before; None: it must be new.
+        """Save a text and return the hash of the file.
 
-        Raises FileNameError, ConflictError, OSError (a full disk: the file is as before).
+        Args:
+            was: the hash that the file must have before, or None if there must be no file.
+
+        Raises:
+            FileNameError, ConflictError: nothing was saved.
+            OSError: the disk is full, or the file is read-only; it is as before.
         """
         path = self._path(name)
         content = text.encode("utf-8")
-        if len(content) > MAX_FILE_BYTES:
-            raise FileNameError(f"{name} would have more than {MAX_FILE_BYTES >> 20} MiB")
-        found = hash_of(path.read_bytes()) if path.is_file() else None
-        if found != was:
-            what = "is gone" if found is None else "was changed elsewhere" if was else "is there already"
-            raise ConflictError(f"{name} {what}; nothing was saved", found)
-        _replace(path, content)
+        if len(content) > MAX_LEVEL_BYTES:
+            raise FileNameError(f"{name} would have more than {MAX_LEVEL_BYTES >> 20} MiB")
+
+        def refuse_other(before: bytes | None) -> None:
+            current = None if before is None else hash_of(before)
+            if current != was:
+                change = "is gone" if current is None else "was changed elsewhere" if was else "is there already"
+                raise ConflictError(f"{name} {change}; nothing was saved", current)
+
+        compare_and_replace(path, content, refuse_other)
         return hash_of(content)
 
     def _path(self, name: str) -> Path:
@@ -91,7 +96,8 @@ class LevelFiles:
         if self.only is not None and name != self.only:
             raise FileNameError(f"{name} is not the file that was named on the command line, {self.only}")
         path = self.directory / name
-        if not path.resolve().is_relative_to(self.directory.resolve()):
+        # A link that a person named may lead anywhere; another one in a directory may not.
+        if self.only is None and not path.resolve().is_relative_to(self.directory.resolve()):
             raise FileNameError(f"{name} leads out of the directory")
         return path
 
@@ -104,19 +110,3 @@ class LevelFiles:
 
 def hash_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Replaces a file atomically; it keeps its permissions."""
-    number, draft = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-    try:
-        with open(number, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(draft, path.stat().st_mode & 0o777 if path.is_file() else 0o644)
-        os.replace(draft, path)
-    except BaseException:
-        with contextlib.suppress(OSError):  # the first error is the one to report
-            os.unlink(draft)
-        raise

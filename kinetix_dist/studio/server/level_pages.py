@@ -15,6 +15,7 @@ from aiohttp import web
 
 from kinetix_dist.json_text import json_text
 from kinetix_dist.studio.runs import run_files
+from kinetix_dist.studio.runs.address_names import address_name
 from kinetix_dist.studio.runs.first_buffer import first_buffer, first_outcomes, next_probe
 from kinetix_dist.studio.runs.refreshes import Refreshes
 from kinetix_dist.studio.runs.run_index import status_of
@@ -83,7 +84,7 @@ class LevelPages:
         files = await asyncio.to_thread(recording_files, run)
         listed = []
         for path in files:
-            entry: dict[str, Any] = {"file": path.name, "path": str(path)}
+            entry: dict[str, Any] = {"file": address_name(path.name), "path": str(path)}
             try:
                 status = path.stat()
                 entry |= {"bytes": status.st_size, "modified": status.st_mtime}
@@ -122,11 +123,11 @@ def recording_files(run: Path) -> list[Path]:
 
 
 def recording_path(run: Path, name: str) -> Path:
-    """Path of a recording that a page names. Raises UnknownRunError where the run has none of that name."""
-    path = run / run_files.RECORDINGS / name
-    if Path(name).name != name or path.suffix != ".mcap" or not is_inside(path, run) or not path.is_file():
-        raise UnknownRunError(f"there is no recording {name!r} in this run (any more)")
-    return path
+    """Return the path of a recording that a page names. Raises UnknownRunError if the run has none of that name."""
+    for path in recording_files(run):
+        if address_name(path.name) == name:
+            return path
+    raise UnknownRunError(f"there is no recording {name!r} in this run (any more)")
 
 
 def is_inside(path: Path, run: Path) -> bool:
@@ -163,7 +164,7 @@ def indices_of(text: str) -> list[int]:
 
 LEVELS_PER_PAGE = 96
 MAX_LEVELS_PER_PAGE = 4096
-SNAPSHOT = "{kind:refresh|buffer}/{number:[0-9]+}"
+SNAPSHOT = "{kind:refresh|buffer}/{number:[0-9]{1,8}}"
 
 
 class CurriculumPages:

@@ -13,6 +13,8 @@ from typing import Any
 
 from aiohttp import web
 
+from kinetix_dist.errors import one_line
+
 COMPRESS_FROM_BYTES = 1024
 
 
@@ -30,8 +32,8 @@ def json_response(content: Any, *, status: int = 200) -> web.Response:
 
 
 def error_response(status: int, text: str) -> web.Response:
-    """JSON response {"error": one line}."""
-    return json_response({"error": " ".join(text.split())}, status=status)
+    """Return the JSON response {"error": one line}."""
+    return json_response({"error": one_line(text)}, status=status)
 
 
 def number(

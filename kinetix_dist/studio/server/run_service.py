@@ -56,7 +56,7 @@ class RunService:
     async def id_of(self, path: Path) -> str | None:
         """Name in addresses of the run in a directory; None where it is no run."""
         await self._scan_now()
-        return next((name for name, run in self.index.runs.items() if run == path.resolve()), None)
+        return next((name for name, run in self.index.runs.items() if run.resolve() == path.resolve()), None)
 
     async def look_for(self, run_id: str) -> None:
         """Scans for a run that is not known yet: its page may be opened before the list of runs."""

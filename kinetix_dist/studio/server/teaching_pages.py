@@ -7,11 +7,11 @@ DELETE api/teaching     cancels the job
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 from aiohttp import web
 
+from kinetix_dist.studio.server.malformed import body_text, json_object
 from kinetix_dist.studio.server.responses import BadRequestError, error_response, json_response
 from kinetix_dist.studio.server.teaching import SECONDS, BusyError, Teaching, TeachingError
 
@@ -33,10 +33,10 @@ class TeachingPages:
         return self._answer()
 
     async def begin(self, request: web.Request) -> web.Response:
+        job = json_object(await body_text(request), "the request")
         try:
-            given = json.loads(await request.text())
-            kind, document, seconds = str(given["kind"]), given["document"], given["seconds"]
-        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            kind, document, seconds = str(job["kind"]), job["document"], job["seconds"]
+        except KeyError as error:
             raise BadRequestError("give kind, document and seconds as a JSON object") from error
         if not isinstance(document, dict):
             raise BadRequestError("document is no JSON object")

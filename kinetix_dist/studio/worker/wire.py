@@ -12,8 +12,6 @@ import struct
 import threading
 from typing import IO, Any
 
-from kinetix_dist.text_files import loads_json
-
 PROTOCOL_VERSION = 1
 MAX_MESSAGE_BYTES = 64 << 20
 _HEAD = struct.Struct("<I")
@@ -70,9 +68,9 @@ def decode(data: bytes) -> Message:
         raise ProtocolError(BAD_REQUEST, f"a message of {len(data)} bytes cannot hold {length} bytes of JSON")
     text = data[_HEAD.size : _HEAD.size + length]
     try:
-        content = loads_json(text)
-    except ValueError as error:
-        raise ProtocolError(BAD_REQUEST, f"a message is not JSON ({error})") from error
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:  # also what is not UTF-8
+        raise ProtocolError(BAD_REQUEST, f"a message is not JSON ({' '.join(str(error).split())})") from error
     if not isinstance(content, dict) or not isinstance(content.get("type"), str):
         raise ProtocolError(BAD_REQUEST, 'a message is no JSON object with a "type"')
     return Message(content, data[_HEAD.size + length :])
