@@ -7,7 +7,6 @@ The manifest is written last; a directory without one was never finished.
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 
 from kinetix_dist.json_text import json_text

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import calendar
 import dataclasses
-import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
