@@ -66,7 +66,9 @@ def test_worlds_that_end_together_all_start_another_level(env: kd.BatchedEnv) ->
     first_levels = state.level_number
     for step in range(MAX_STEPS - 1):
         observation, state, *_ = env.step(prng.key(step), state, env.action_space.noop_actions(NUM_ENVS))
-    observation, state, _, done, info = env.step(prng.key(MAX_STEPS - 1), state, env.action_space.noop_actions(NUM_ENVS))
+    observation, state, _, done, info = env.step(
+        prng.key(MAX_STEPS - 1), state, env.action_space.noop_actions(NUM_ENVS)
+    )
     assert done.mean() > 0.9 and info.timed_out.mean() > 0.9
     assert (state.level_number != first_levels).mean() > 0.5
     np.testing.assert_array_equal(state.episode.num_steps[done], 0)
