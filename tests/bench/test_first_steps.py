@@ -253,7 +253,7 @@ def write_published(file: Path) -> None:
     numbers: dict[str, Any] = {"role": np.int32, "collision_mode": np.int32}
     joints: dict[str, Any] = {"is_fixed_joint": bool, "motor_on": bool, "motor_has_joint_limits": bool}
     joints |= {"a_index": np.int32, "b_index": np.int32, "motor_binding": np.int32}
-    kinds: dict[str, tuple[int, dict[str, tuple[int, ...]], dict[str, Any]]] = {
+    kinds: dict[str, tuple[int, dict[str, Any], dict[str, Any]]] = {
         "polygon": (capacity.polygons, shape, flags | numbers),
         "circle": (capacity.circles, shape, flags | numbers),
         "joint": (capacity.joints, joint, flags | joints),
