@@ -1,4 +1,4 @@
-"""JSON that every parser reads: `json.dumps` writes NaN and Infinity, which are no JSON."""
+"""JSON that every parser reads: `json.dumps` writes NaN and Infinity, which JSON does not have."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names that are near each other: suggestions for misspelt ones ("did you mean ..."), and those that share a file."""
+"""Names that are near each other: suggestions for misspelt ones ("did you mean ..."), and names of one file."""
 
 from __future__ import annotations
 

@@ -13,8 +13,8 @@ def numbers_in(words: Sequence[str], option: str, *, most: int) -> list[int]:
     """Return the numbers of words, sorted: [0, 1, 2, 3] of "0..3", or of "0 1 2 3".
 
     Raises:
-        ValueError: One line that names the option, for a word that is no number up to `most`, for a number that is
-            there twice, and for more than `MAX_COUNT` numbers.
+        ValueError: One line that names the option, for a word that gives no numbers up to `most`, for a number that
+            is there twice, and for more than `MAX_COUNT` numbers.
     """
     found: set[int] = set()
     for word in words:

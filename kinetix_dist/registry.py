@@ -22,14 +22,14 @@ class PluginError(ValueError):
 
 
 class Registry(Generic[T]):
-    """Parts of one kind by name. A name stands for one part: it is never replaced."""
+    """Parts of one kind by name. A part is never replaced."""
 
     def __init__(self, kind: str) -> None:
         self._kind = kind
         self._parts: dict[str, T] = {}
 
     def register(self, name: str, part: T) -> T:
-        """Adds a part and returns it. Raises ValueError where the name is taken."""
+        """Adds a part and returns it. Raises ValueError if the name is taken."""
         if name in self._parts:
             raise ValueError(f"there is a {self._kind} {name!r} already; register yours under another name")
         self._parts[name] = part

@@ -1,4 +1,4 @@
-"""Declaration of settings: a field's default and limits, stated once where the field stands.
+"""Declaration of settings: a field's default and limits, stated once, beside the field.
 
     num_envs: int = setting(2048, minimum=1)  # worlds, over all devices
 

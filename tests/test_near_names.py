@@ -1,4 +1,4 @@
-"""Names that share a file."""
+"""Names of one file."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from kinetix_dist.setting import ConfigError
 def from_dict(data: Mapping[str, Any]) -> TrainConfig:
     """Return the configuration whose `to_dict` is `data`, after importing its plugins.
 
-    For the words of the user alone: options, designs, and a run that the user resumes. `from_dict_for_playing` and
+    Only for what the user wrote: options, designs, and a run that the user resumes. `from_dict_for_playing` and
     `from_dict_as_recipe` read configurations of other people.
 
     Raises:
@@ -63,8 +63,8 @@ def curriculum_from_dict(data: Mapping[str, Any]) -> CurriculumConfig:
 
 
 def has_same_numbers(config: TrainConfig, stored: Mapping[str, Any], stored_hash: str) -> bool:
-    """Training goes on with `config` as with a stored one: they have the same hash, at once or with today's names of
-    settings. A setting that the stored one lacks makes it another version, whatever its value is now."""
+    """Return whether training continues with `config` as with a stored one: their hashes are equal, at once or after
+    settings are renamed. A setting that the stored one lacks makes it another version, whatever its value is."""
     if stored_hash == config.hash:
         return True
     try:

@@ -1,4 +1,4 @@
-"""Arms and seeds of a study that are chosen by name and number, and seeds that lie in a directory of results."""
+"""Arms and seeds of a study that are chosen by name and number, and seeds of the runs in a directory of results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kinetix_dist.sweep.results_directory import ARMS
 
 
 def check_arms(chosen: Iterable[str], arms: Sequence[str], problem: str) -> None:
-    """Raises DesignError for a name that is no arm; problem: what is wrong then, with {name} in it."""
+    """Raise DesignError for an unknown name. problem: words for it, with {name} in them."""
     for name in chosen:
         if name not in arms:
             hint = did_you_mean(name, arms, f"arms are {', '.join(arms)}")
@@ -24,11 +24,11 @@ def seeds_to_run(first: int, usual: int, requested: int | None) -> range:
 
     Args:
         first: The first of them.
-        usual: As many as the study says.
-        requested: As many as --seeds says; None: the option was left out.
+        usual: Their number in the study.
+        requested: Their number in --seeds, or None without the option.
 
     Raises:
-        DesignError: There are none, or more than `MAX_SEEDS`.
+        DesignError: Their number is below 1 or above `MAX_SEEDS`.
     """
     count = usual if requested is None else requested
     option = "seeds of the study" if requested is None else "--seeds"
@@ -40,7 +40,7 @@ def seeds_to_run(first: int, usual: int, requested: int | None) -> range:
 
 
 def seeds_in(path: Path | None) -> set[int]:
-    """Seeds of the runs ARM-seedN and ARM-seedN-partK in a directory of results; none for None."""
+    """Return the seeds of the runs ARM-seedN and ARM-seedN-partK in a directory of results, if there is one."""
     folders = [] if path is None else (path / ARMS).glob("*-seed*")
     ends = [folder.name.rpartition("-seed")[2].partition("-")[0] for folder in folders]
     return {int(end) for end in ends if end.isdecimal()}
