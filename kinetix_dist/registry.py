@@ -1,5 +1,5 @@
 """Names for interchangeable parts: observations, action spaces, rewards, networks, curricula. Built-in ones are
-registered in the package that defines them, those of a user by a module that `run.plugins` names
+registered in the package that defines them, parts of a user by a module that `run.plugins` names
 (docs/extending.md)."""
 
 from __future__ import annotations

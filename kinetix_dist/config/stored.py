@@ -18,7 +18,7 @@ from kinetix_dist.setting import ConfigError
 def from_dict(data: Mapping[str, Any]) -> TrainConfig:
     """Return the configuration whose `to_dict` is `data`, after importing its plugins.
 
-    Only for what the user wrote: options, designs, and a run that the user resumes. `from_dict_for_playing` and
+    Only for words of the user: options, designs, and a run that the user resumes. `from_dict_for_playing` and
     `from_dict_as_recipe` read configurations of other people.
 
     Raises:
