@@ -66,12 +66,12 @@ def mess(seed: int) -> BuiltWorld:
             width=rng.uniform(0.2, 0.8),
             height=rng.uniform(0.2, 0.8),
             position=rng.uniform((-1.5, 0.5), (1.5, 2)),
-            velocity=rng.uniform(-1, 1, 2) * rng.choice([2, 10, 50]),
+            velocity=tuple(rng.uniform(-1, 1, 2) * rng.choice([2, 10, 50])),
             angular_velocity=rng.uniform(-10, 10),
             restitution=rng.choice([0.0, 0.8]),
         )
     for _ in range(3):
-        at, velocity = rng.uniform((-2, 0.5), (2, 2.5)), rng.uniform(-1, 1, 2) * rng.choice([2, 10, 50])
+        at, velocity = rng.uniform((-2, 0.5), (2, 2.5)), tuple(rng.uniform(-1, 1, 2) * rng.choice([2, 10, 50]))
         b.add_circle(radius=rng.uniform(0.1, 0.3), position=at, velocity=velocity, restitution=rng.choice([0.0, 0.8]))
     return b.build()
 
