@@ -71,7 +71,7 @@ def test_the_same_levels_by_another_path_go_on(tmp_path: Path, capsys: pytest.Ca
         (["--noise", "1"], "--noise is 1.0; it is a probability, from 0 to below 1"),
         (["--sticky", "-0.1"], "--sticky is -0.1; it is a probability"),
         (["--transitions", "0"], "--transitions is 0; it must be 1 or more"),
-        (["--transitions", "nan"], "--transitions is nan; it must be 1 or more"),
+        (["--transitions", "nan"], "--transitions is nan; it must be a finite number"),
         (["--worlds", "0"], "--worlds is 0; it must be 1 or more"),
         (["--worlds", "3"], "--shard-transitions 512 is not a multiple of --worlds 3; change one"),
         (["--shard-transitions", "256"], "has 128 steps of each of 2 worlds, and an episode up to 256"),

@@ -193,7 +193,9 @@ def test_noise_on_whole_numbers_is_one_line(levels: Path, capsys: pytest.Capture
 
 def test_delays_in_words() -> None:
     assert delays_of(["0..3"]) == [0, 1, 2, 3]
-    assert delays_of(["4", "0", "2..3", "3"]) == [0, 2, 3, 4]
+    assert delays_of(["4", "0", "2..3"]) == [0, 2, 3, 4]
+    with pytest.raises(ValueError, match="3 twice"):
+        delays_of(["2..3", "3"])
 
 
 def test_cloning_writes_checkpoints_that_play(

@@ -107,4 +107,4 @@ def test_an_ignore_of_a_whole_file_is_refused(tmp_path: Path) -> None:
 def test_make_check_runs_the_gate() -> None:
     done = run(REPOSITORY, "make", "--dry-run", "check")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == ".venv/bin/python .ci/check_types.py"
+    assert ".venv/bin/python .ci/check_types.py" in done.stdout.splitlines()

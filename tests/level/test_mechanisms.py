@@ -531,8 +531,8 @@ def test_families_are_drawn_as_often_as_their_weights_say() -> None:
     [
         (("car", "arm"), (1.0,), "has 1 numbers for 2 families; give one for each, or an empty list"),
         (("car", "arm"), (1.0, 0.0), "must be finite and above 0; leave out a family"),
-        (("car", "arm"), (1.0, float("nan")), "must be finite and above 0"),
-        (("car", "arm"), (1.0, float("inf")), "must be finite and above 0"),
+        (("car", "arm"), (1.0, float("nan")), "mechanism_weights.1 is nan; it must be a finite number"),
+        (("car", "arm"), (1.0, float("inf")), "mechanism_weights.1 is inf; it must be a finite number"),
         (("car", "car"), (), "names a family twice; use mechanism_weights"),
     ],
 )

@@ -79,7 +79,6 @@ def test_counts_are_shares_in_whole_levels():
     [
         ((("xl", 1.0),), "has 'xl'; sizes are s, m, l"),
         ((("s", -0.5), ("m", 1.0)), "gives 's' the weight -0.5; weights must be 0 or more"),
-        ((("s", float("nan")),), "weights must be 0 or more"),
         ((("s", 0.0), ("m", 0.0)), "gives all sizes the weight 0"),
         ((("s", 1.0), ("s", 2.0)), "has 's' twice"),
     ],
@@ -89,6 +88,12 @@ def test_weights_that_mean_nothing_are_refused(weights, message):
         check_weights("sizes", weights)
     with pytest.raises(ValueError, match=message):
         CurriculumConfig(sizes=weights)
+
+
+def test_a_weight_that_is_not_finite_is_refused():
+    for check in (lambda weights: check_weights("sizes", weights), lambda weights: CurriculumConfig(sizes=weights)):
+        with pytest.raises(ValueError, match="sizes"):
+            check((("s", float("nan")),))
 
 
 def test_a_size_that_would_have_no_level_is_refused():

@@ -56,7 +56,7 @@ def test_a_new_run_begins_with_the_configuration_of_another(capsys, tmp_path):
     assert not parsed.resume and parsed.run is None
     assert parsed.config == dataclasses.replace(tiny, ppo=dataclasses.replace(tiny.ppo, clip=0.1, epochs=3))
     (path / "config.json").write_text("{")
-    assert "config.json: it is damaged" in _refusal(capsys, "--recipe", path)
+    assert "config.json cannot be read" in _refusal(capsys, "--recipe", path)
 
 
 def test_an_unknown_field(capsys):
@@ -150,7 +150,7 @@ def test_a_damaged_configuration(capsys, tmp_path, text):
     run.close()
     run.config_path.write_text(text)
     line = _refusal(capsys, "--run", tmp_path / "run", "--resume")
-    assert "config.json: it is damaged" in line and "checkpoint.json" in line
+    assert "config.json" in line and "checkpoint.json" in line
 
 
 @pytest.mark.parametrize(

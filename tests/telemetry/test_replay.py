@@ -119,8 +119,8 @@ def test_a_cut_recording_replays_and_says_so(run_directory: Path, capsys: pytest
         (["{run}", "--solved", "--failed"], "exclude each other"),
         (["{run}/empty"], "holds no recordings"),
         (["{run}/notes.mcap"], "no MCAP file"),
-        (["{run}", "--to", "{run}/nowhere/a.rrd"], "no directory"),
-        (["{run}", "--picture", "{run}/nowhere/a.png"], "picture cannot be written"),
+        (["{run}", "--to", "{run}/nowhere/a.rrd"], "--to a file in a directory that exists"),
+        (["{run}", "--picture", "{run}/nowhere/a.png"], "--picture a file in a directory that exists"),
         (["{run}/recordings/update_1.mcap", "--solved"], "none of the 1 rollouts"),
     ],
 )
