@@ -78,7 +78,7 @@ def ball_and_chain(ratio: float) -> HardScene:
     def checks(trajectory: Trajectory) -> list[Check]:
         energy = trajectory.energy(zero_at=trajectory.position[0])
         gained = (energy - energy[0]).max() / (ratio * 0.25 * 9.81 * 9)
-        return [widest_gap(trajectory, 0.1), Check("energy gained, share of the fall", gained, 0.01)]
+        return [widest_gap(trajectory, 0.1), Check("energy gained, fraction of the fall", gained, 0.01)]
 
     return b.scene(f"ball and chain, mass ratio {ratio:g}", checks)
 

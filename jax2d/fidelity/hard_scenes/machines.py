@@ -45,7 +45,7 @@ def four_bar() -> HardScene:
         late = trajectory.angular_velocity[trajectory.index_at(1.0) :, crank]
         return [
             widest_gap(trajectory, 0.004),
-            Check("motor speed is wrong by a share of", np.abs(late / 3.0 - 1).max(), 0.02),
+            Check("motor speed is wrong by a fraction of", np.abs(late / 3.0 - 1).max(), 0.02),
         ]
 
     return b.scene("four-bar linkage", checks)
@@ -65,7 +65,7 @@ def cart() -> HardScene:
         late = turning[trajectory.index_at(5.0) :]
         return [
             widest_gap(trajectory, 0.01),
-            Check("motor speed is wrong by a share of", np.abs(late / -6.0 - 1).max(), 0.02),
+            Check("motor speed is wrong by a fraction of", np.abs(late / -6.0 - 1).max(), 0.02),
         ]
 
     return b.scene("cart", checks)
@@ -117,7 +117,7 @@ def motor_settles(power: float) -> HardScene:
     def checks(trajectory: Trajectory) -> list[Check]:
         late = trajectory.angular_velocity[trajectory.index_at(8.0) :, arm]
         return [
-            Check("speed is wrong by a share of", np.abs(late / 6.0 - 1).max(), 0.01),
+            Check("speed is wrong by a fraction of", np.abs(late / 6.0 - 1).max(), 0.01),
             Check("speed alternates by, rad/s", np.abs(np.diff(late)).max(), 0.02),
         ]
 
@@ -224,7 +224,7 @@ def slider_crank() -> HardScene:
         return [
             widest_gap(trajectory, 0.004),
             Check("piston is off its formula by, m", np.abs(trajectory.position[:, piston, 0] - x).max(), 0.01),
-            Check("motor speed is wrong by a share of", np.abs(late / 3.0 - 1).max(), 0.02),
+            Check("motor speed is wrong by a fraction of", np.abs(late / 3.0 - 1).max(), 0.02),
         ]
 
     return b.scene("slider crank", checks)

@@ -22,7 +22,7 @@ def friction_ramp(mu: float, slope: float = 0.25) -> HardScene:
             moved = trajectory.position[-1, box] - trajectory.position[trajectory.index_at(1.0), box]
             return [Check("creeps, m/s", float(np.linalg.norm(moved)) / 9.0, 1e-3)]
         speed = float(np.linalg.norm(trajectory.velocity[trajectory.index_at(3.0), box]))
-        return [Check("speed after 3 s is wrong by a share of", abs(speed / (3 * slide) - 1), 0.02)]
+        return [Check("speed after 3 s is wrong by a fraction of", abs(speed / (3 * slide) - 1), 0.02)]
 
     return b.scene(f"ramp of 0.25 rad, friction {mu:g}", checks)
 
