@@ -33,9 +33,13 @@ def check() -> None:
 
 
 def _has_started() -> bool:
-    """Return True if JAX has made its clients, and with them their threads."""
+    """Return True if JAX has made its clients, and with them their threads, or was making them.
+
+    `backends_are_initialized` of this module waits for the lock: a child that was forked while another thread held it
+    has a copy that nobody releases.
+    """
     bridge = sys.modules.get("jax._src.xla_bridge")
-    return bridge is not None and bridge.backends_are_initialized()
+    return bridge is not None and (len(bridge._backends) > 0 or bridge._backend_lock.locked())
 
 
 def _has_lost_its_threads() -> bool:

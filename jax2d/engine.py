@@ -219,6 +219,7 @@ class Engine:
 
     def bodies(self, packed: Any) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """(position [W, n, 2], angle [W, n], velocity [W, n, 2], angular velocity [W, n]) of a packed state."""
+        after_fork.check()
         return self.backend.bodies(packed)
 
     def step_packed(

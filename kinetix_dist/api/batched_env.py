@@ -146,6 +146,7 @@ def make(
 
 def draw(env: BatchedEnv, state: BatchState, world: int = 0, *, pixels_per_metre: float = 100.0) -> np.ndarray:
     """Picture of one world, uint8 [rows, columns, 3]. Green is to touch blue, and not red."""
+    after_fork.check()
     if not 0 <= world < env.num_envs:
         raise ValueError(f"world is {world}; there are worlds 0 to {env.num_envs - 1}")
     position, angle, *_ = env.environment.engine.bodies(state.episode.packed_state)

@@ -37,6 +37,8 @@ from kinetix_dist.stored_specialists import are_specialists
 MAX_DELAY = 1000
 PICTURES = (".png", ".svg", ".pdf")
 
+MAX_EPISODES = 1_000_000  # attempts at each level
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options:
@@ -81,8 +83,8 @@ class Options:
             METHODS[method]
         if self.min_rate is not None and not 0 <= self.min_rate <= 1:
             raise ValueError(f"--min-rate is {self.min_rate:g}; it is a solve rate, from 0 to 1")
-        if self.episodes < 1:
-            raise ValueError(f"--episodes is {self.episodes}; at least 1 is needed")
+        if not 1 <= self.episodes <= MAX_EPISODES:
+            raise ValueError(f"--episodes is {self.episodes}; it must be from 1 to {MAX_EPISODES:,}")
         if self.picture is not None and self.picture.suffix not in PICTURES:
             raise ValueError(f"--picture {self.picture} ends in none of {', '.join(PICTURES)}")
         if self.picture is not None and self.picture.is_dir():

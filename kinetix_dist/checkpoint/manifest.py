@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+from kinetix_dist.errors import printable, shortened
 from kinetix_dist.json_text import json_text
 from kinetix_dist.text_files import read_json
 
@@ -34,10 +35,13 @@ def manifest_fault(directory: Path) -> str | None:
         return f"it has no {MANIFEST_NAME}: it was never finished"
     except (ValueError, KeyError, TypeError, AttributeError, OSError) as error:
         return f"its {MANIFEST_NAME} cannot be read ({error})"
+    if not listed:
+        return f"its {MANIFEST_NAME} lists no files"
+    present = {str(path.relative_to(directory)) for path in _files(directory)}
     for name, (num_bytes, sha256) in listed.items():
+        if name not in present:  # nor is a file outside of the directory
+            return f"file {shortened(printable(name), 200)} is missing"
         path = directory / name
-        if not path.is_file():
-            return f"file {name} is missing"
         if path.stat().st_size != num_bytes:
             return f"file {name} has {path.stat().st_size} bytes instead of {num_bytes}"
         if _sha256(path) != sha256:

@@ -85,12 +85,12 @@ def variance_of_ratio(sums: Collection[Sequence[float]], ratio: float) -> float:
 
 
 NO_SPREAD = "no spread"  # words in place of an interval that would have no width
-NO_WIDTH = 1e-12  # of an interval of rates: what rounding leaves of none
+NO_WIDTH = 1e-12  # of an interval, relative to its larger end or 1: rounding leaves that much
 
 
 def has_spread(low: float, high: float) -> bool:
-    """Return whether an interval has any width: one without would claim certainty, where nothing is known."""
-    return high - low > NO_WIDTH
+    """Return True if an interval has any width: one without would claim certainty, though nothing is known."""
+    return high - low > NO_WIDTH * max(1.0, abs(low), abs(high))
 
 
 def t_95(degrees_of_freedom: float, comparisons: int = 1) -> float:

@@ -18,8 +18,8 @@ MAX_NAMED = 12  # runs that did not finish and are named one by one
 _OVER = {
     OVER_SEEDS: "intervals are 95 % over seeds, by bootstrap, and by Welch's t for differences",
     OVER_LEVELS: "intervals are 95 % over base levels, since an arm has one seed, and say nothing of seeds",
-    NO_SPREAD: "no spread means that all seeds came out alike (or, with one seed, all base levels), which says nothing "
-    "of others",
+    NO_SPREAD: "no spread means that an interval would have no width, as if all seeds (or, with one seed, all base "
+    "levels) have the same result; other seeds may differ",
     NO_INTERVAL: "there is no interval, since an arm has one seed and the set one base level",
 }
 

@@ -48,7 +48,9 @@ class Estimate:
     def as_json(self) -> dict[str, object]:
         """Return the estimate for JSON; `low` and `high` are null without an error, and where it has no spread (0)."""
         error = self.error
-        margin = None if error is None or not has_spread(0.0, error.margin) else error.margin
+        margin = None if error is None else error.margin
+        if margin is not None and not has_spread(self.value - margin, self.value + margin):
+            margin = None
         return {
             "name": self.name,
             "value": self.value,

@@ -58,6 +58,7 @@ def calls() -> dict[str, Callable[[], object]]:
     state = engine.initial_state(*world)
     levels = jax.tree.map(np.asarray, kd.load_level_set("designed_s")[0])
     env = kd.make("s", levels="designed_s")
+    played = env.reset(jax.random.key(0))[1]
     single = KinetixEnv(FLAT, levels)
     vector = KinetixVectorEnv(FLAT, levels, num_envs=2)
     vector.reset(seed=0)
@@ -70,6 +71,7 @@ def calls() -> dict[str, Callable[[], object]]:
         "Engine.initial_state": lambda: engine.initial_state(*world),
         "Engine.step": lambda: engine.step(world.scene, state),
         "Environment.prepare": lambda: env.environment.prepare(levels),
+        "draw": lambda: kd.draw(env, played),
         "make": lambda: kd.make("s"),
         "load_level_set": lambda: kd.load_level_set("random_s", num_levels=1),
         "load_policy": lambda: kd.load_policy("generalist"),
@@ -149,3 +151,19 @@ def output_of(*arguments: str) -> str:
         text=True,
         timeout=PATIENCE_S,
     ).stdout.strip()
+
+
+def test_a_fork_while_jax_starts_waits_for_nothing():
+    """The child inherits a lock that nobody releases; it counts as started."""
+    program = (
+        "import os, jax\n"
+        "from jax._src import xla_bridge\n"
+        "from jax2d import after_fork\n"
+        "with xla_bridge._backend_lock:\n"
+        "    pid = os.fork()\n"
+        "    if pid == 0:\n"
+        "        print(after_fork.is_forked(), flush=True)\n"
+        "        os._exit(0)\n"
+        "    os.waitpid(pid, 0)\n"
+    )
+    assert output_of("-W", "ignore", "-c", program) == "True"

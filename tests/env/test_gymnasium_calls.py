@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
@@ -78,8 +80,9 @@ def test_worlds_restart_in_the_next_step(levels: Level):
     theirs.reset(options={"level": 1})
     ended = np.zeros(2, bool)
     while not ended.any():
-        obs, rewards, terminations, truncations, _ = ours.step(np.zeros((2, 6), int))
+        obs, rewards, terminations, truncations, infos = ours.step(np.zeros((2, 6), int))
         expected = theirs.step(np.zeros((2, 6), int))
+        assert infos.keys() == expected[4].keys()  # values, and masks of the worlds that have them
         np.testing.assert_allclose(obs, expected[0], atol=1e-6)  # compiled apart
         np.testing.assert_allclose(rewards, expected[1], atol=1e-6)
         np.testing.assert_array_equal((terminations, truncations), expected[2:4])
@@ -107,3 +110,9 @@ def test_observations_are_normalised_when_they_are_one_array(env: KinetixEnv, le
     vector = NormalizeVector(KinetixVectorEnv(FLAT, levels, num_envs=2, autoreset=AutoresetMode.NEXT_STEP))
     obs, _ = vector.reset(seed=0)
     assert obs in vector.observation_space
+
+
+@pytest.mark.parametrize("options", [["level"], "level"])
+def test_options_that_are_no_dictionary_are_refused(options: Any, envs: KinetixVectorEnv) -> None:
+    with pytest.raises(TypeError, match="give a dictionary"):
+        envs.reset(options=options)

@@ -138,7 +138,7 @@ MISTAKES = {
     "unknown size": (edit("size", "xl"), "^size: unknown size 'xl'; use one of s, m, l$"),
     "unknown version": (edit("version", 2), "^version: is 2; use 1$"),
     "other format": (edit("format", "svg"), "^format: is 'svg'; use 'kinetix-dist-level'$"),
-    "negative radius": (edit("shapes.2.radius", -0.1), r"^shapes\[2\]\.radius: is -0.1; give more than 0$"),
+    "negative radius": (edit("shapes.2.radius", -0.1), r"^shapes\[2\]\.radius: is -0.1; give at least 0.001$"),
     "nan": (
         edit("shapes.1.vertices.2.0", math.nan),
         r"^shapes\[1\]\.vertices\[2\]\[0\]: is nan; give a finite number$",

@@ -1,5 +1,6 @@
 """A checkpoint restores exactly what was saved, and a damaged one is never used."""
 
+import json
 import shutil
 import signal
 import socket
@@ -134,6 +135,23 @@ def test_a_manifest_that_makes_no_sense_is_a_reason_not_a_traceback(tmp_path):
         (path / "manifest.json").write_text(content)
         with pytest.raises(CheckpointError, match=r"manifest\.json cannot be read"):
             load_checkpoint(path)
+
+
+@pytest.mark.parametrize("name", ["../outside.json", "/proc/kmsg", "{outside}"])
+def test_a_manifest_reads_no_file_outside_of_its_checkpoint(name, tmp_path):
+    path, outside = _save(tmp_path / "run", 1), tmp_path / "run" / "outside.json"
+    outside.write_text("{}")
+    named = name.format(outside=outside)
+    (path / "manifest.json").write_text(json.dumps({"files": {named: {"bytes": 99, "sha256": "x"}}}))
+    with pytest.raises(CheckpointError, match=r"file .* is missing"):
+        load_checkpoint(path)
+
+
+def test_a_manifest_of_no_files_verifies_nothing(tmp_path):
+    path = _save(tmp_path, 1)
+    (path / "manifest.json").write_text('{"files": {}}')
+    with pytest.raises(CheckpointError, match="lists no files"):
+        load_checkpoint(path)
 
 
 def test_what_is_saved_is_read_and_verified_once(tmp_path, monkeypatch):

@@ -59,7 +59,12 @@ def test_an_address_without_a_level_is_a_link_that_holds_none(text: str) -> None
 @pytest.mark.parametrize("command", [["edit"], ["levels", "play"]])
 @pytest.mark.parametrize(
     ("part", "text"),
-    [(PART[:-20], "cut off"), (f"7.{PART[2:]}", "of version 7"), ("", "holds no level")],
+    [
+        (PART[:-20], "cut off"),
+        (f"7.{PART[2:]}", "of version 7"),
+        (f"{'1' * 5000}.{PART[2:]}", "damaged"),
+        ("", "holds no level"),
+    ],
 )
 def test_commands_refuse_a_bad_link_in_one_line(command: list[str], part: str, text: str, capsys: Any) -> None:
     assert main([*command, f"http://127.0.0.1:8650/#/edit?level={part}"]) == 2

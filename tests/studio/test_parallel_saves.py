@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -82,3 +83,20 @@ def test_a_link_that_a_person_named_may_lead_out_of_its_directory(tmp_path: Path
         match = {"If-Match": f'"{server.json("/api/files/link.json")["hash"]}"'}
         assert server.request("/api/files/link.json", method="PUT", headers=match, body=b'{"a": 1}')[0] == 200
     assert link.is_symlink() and target.read_text() == '{"a": 1}'
+
+
+def test_a_pipe_in_the_folder_is_refused_at_once(servers: list[Server], levels: Path) -> None:
+    os.mkfifo(levels / "pipe.json")
+    try:
+        for method, header in (("GET", {}), ("PUT", {"If-None-Match": "*"})):
+            status, _, body = servers[0].request("/api/files/pipe.json", method=method, headers=header, body=b"{}")
+            assert status == 400 and "pipe.json is not a regular file" in body.decode()
+    finally:
+        (levels / "pipe.json").unlink()
+
+
+def test_a_save_into_a_folder_that_is_missing_names_the_folder(servers: list[Server]) -> None:
+    status, _, body = servers[0].request(
+        "/api/files/nowhere/a.json", method="PUT", headers={"If-None-Match": "*"}, body=b"{}"
+    )
+    assert status == 400 and "there is no folder nowhere here" in body.decode()

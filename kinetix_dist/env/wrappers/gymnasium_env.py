@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -105,11 +105,11 @@ class KinetixVectorEnv(VectorEnv):
         """
         after_fork.check()
         super().reset(seed=seed)
-        options = _checked_options(options, VECTOR_OPTIONS)
-        mask = _reset_mask(options.get("reset_mask"), self.num_envs)
+        chosen_options = _checked_options(options, VECTOR_OPTIONS)
+        mask = _reset_mask(chosen_options.get("reset_mask"), self.num_envs)
         if self._episode is None and not mask.all():
             raise gymnasium.error.ResetNeeded("call reset() for all worlds before reset() for some of them")
-        numbers = options.get("levels")
+        numbers = chosen_options.get("levels")
         if numbers is None:
             numbers = self.level_numbers.copy()
             numbers[mask] = self.np_random.integers(self._pool.num_levels, size=np.count_nonzero(mask))
@@ -152,7 +152,7 @@ class KinetixVectorEnv(VectorEnv):
             infos = self._final_infos(done, info, self._to_numpy(prepared, obs))
             state, obs = self._restart(prepared, jnp.asarray(done), state, obs)
         elif done.any():
-            infos = info
+            infos = info | {f"_{name}": done.copy() for name in INFO_FIELDS}  # gymnasium: the worlds that have values
         if self.autoreset_mode != AutoresetMode.SAME_STEP:
             self._has_ended = done
         self._episode = prepared, state, obs
@@ -224,7 +224,7 @@ class KinetixEnv(gymnasium.Env):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         obs, reward, terminated, truncated, infos = self._envs.step(np.asarray(action)[None])
-        info = {name: value[0] for name, value in infos.items()}
+        info = {name: infos[name][0] for name in INFO_FIELDS if name in infos}
         return one_of(obs, 0), float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def render(self) -> np.ndarray | None:
@@ -280,7 +280,7 @@ def one_of(obs: Any, world: int) -> Any:
 def _config(size: str, settings: dict[str, Any], function: Callable[..., Any]) -> EnvConfig:
     """Return the configuration. Raises TypeError for a keyword that neither it nor `function` has."""
     own = [name for name, x in inspect.signature(function).parameters.items() if x.kind == x.KEYWORD_ONLY]
-    known = [field.name for field in dataclasses.fields(EnvConfig)]
+    known = [field.name for field in dataclasses.fields(EnvConfig) if field.name not in own]
     for name in settings:
         if name not in known:
             hint = did_you_mean(name, [*own, *known], f"it takes {', '.join([*own, *known])}")
@@ -292,8 +292,10 @@ def _info_arrays(info: StepInfo) -> dict[str, np.ndarray]:
     return {name: np.array(getattr(info, name)) for name in INFO_FIELDS}
 
 
-def _checked_options(options: dict[str, Any] | None, known: Iterable[str]) -> dict[str, Any]:
-    """Return the options. Raises ValueError for an unknown name."""
+def _checked_options(options: Mapping[str, Any] | None, known: Sequence[str]) -> Mapping[str, Any]:
+    """Return the options. Raises TypeError for no mapping, and ValueError for an unknown name."""
+    if not isinstance(options, Mapping | None):
+        raise TypeError(f"options of reset are {options!r:.60}; give a dictionary, such as {{{known[0]!r}: ...}}")
     for name in options or {}:
         if name not in known:
             hint = did_you_mean(name, known, f"it takes {' and '.join(map(repr, known))}")

@@ -99,6 +99,10 @@ class LevelFiles:
         # A link that a person named may lead anywhere; another one in a directory may not.
         if self.only is None and not path.resolve().is_relative_to(self.directory.resolve()):
             raise FileNameError(f"{name} leads out of the directory")
+        if path.exists() and not path.is_file():  # reading a pipe would wait for ever
+            raise FileNameError(f"{name} is not a regular file")
+        if not path.parent.is_dir():
+            raise FileNameError(f"{name}: there is no folder {path.parent.name} here; make it first")
         return path
 
     def _is_name(self, name: str) -> bool:

@@ -21,7 +21,7 @@ LINK_VERSION = 1
 MAX_LEVEL_BYTES = 3_000_000  # a few bytes of a link can be many
 _LINK = re.compile(r"(?:^|[#?&])level=([^&#\s]*)")
 _ADDRESS = re.compile(r"https?://|#/")
-_PACKED = re.compile(r"(?:(\d+)\.)?([\w-]+)", re.ASCII)
+_PACKED = re.compile(r"(?:(\d{1,9})\.)?([\w-]+)", re.ASCII)
 _WITHOUT_HEADER = -zlib.MAX_WBITS
 
 
