@@ -103,7 +103,6 @@ OWN_JSON = {
     "runtime/processes/fork_server",
     "studio/runs/long_metrics", "studio/runs/verdict_process", "studio/server/evaluation_pages",
     "studio/server/verdict_summaries", "studio/worker/wire", "study/command_results/kind", "text_files",
-    "data/kinetix_offline", "data/manifest",
 }  # fmt: skip
 
 

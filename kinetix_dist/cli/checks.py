@@ -9,7 +9,7 @@ from pathlib import Path
 
 from kinetix_dist import user_directories
 from kinetix_dist.cli.streams import say
-from kinetix_dist.errors import UserError
+from kinetix_dist.errors import UserError, shortened
 from kinetix_dist.jax_checks import check_arithmetic, check_settings
 
 MAX_SEED = 2**32 - 1  # a key of JAX keeps 32 bits of a seed
@@ -19,6 +19,14 @@ def check_seed(seed: int) -> None:
     """Raise `UserError` for a seed whose key equals the key of another seed."""
     if not 0 <= seed <= MAX_SEED:
         raise UserError(f"--seed is {seed}; give a number from 0 to {MAX_SEED}")
+
+
+def check_count(name: str, value: float | None, most: int) -> None:
+    """Raise `UserError` for a count that is not in 1 to `most`. None: the option was left out."""
+    if value is not None and not 1 <= value <= most:
+        limit = "it must be 1 or more" if value < 1 else f"give {most:,} or less"
+        text = f"{value:g}" if isinstance(value, float) else shortened(str(value), 30)
+        raise UserError(f"--{name.replace('_', '-')} is {text}; {limit}")
 
 
 def check_output_file(file: Path, option: str = "") -> None:

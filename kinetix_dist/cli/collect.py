@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from kinetix_dist.cli.checks import check_output_directory, check_seed
+from kinetix_dist.cli.checks import check_count, check_output_directory, check_seed
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, one_line, user_errors
 
@@ -38,6 +38,8 @@ DEFAULT_SHARD = {"gpu": 1 << 20, "cpu": 1 << 16}  # transitions: 512 and 1,024 s
 # Of specialists: a shard is of one of them, and a million transitions of a level are to be of eight.
 DEFAULT_WORLDS_OF_SPECIALISTS = {"gpu": 256, "cpu": 64}
 DEFAULT_SHARD_OF_SPECIALISTS = {"gpu": 1 << 17, "cpu": 1 << 16}
+MAX_TRANSITIONS = 10**12  # more than 10 TB
+MAX_SHARD = 1 << 30  # transitions, all in memory
 SECONDS_BETWEEN_LINES = 5.0
 WARM_SHARDS = 8  # a rate is that of more
 
@@ -116,11 +118,8 @@ def check(args: Args) -> None:
     for name in ("noise", "sticky"):
         if not 0 <= getattr(args, name) < 1:
             raise UserError(f"--{name} is {getattr(args, name)}; it is a probability, from 0 to below 1")
-    if not 1 <= args.transitions < math.inf:
-        raise UserError(f"--transitions is {args.transitions:g}; it must be 1 or more")
-    for name in ("worlds", "shard_transitions"):
-        if (value := getattr(args, name)) is not None and value < 1:
-            raise UserError(f"--{name.replace('_', '-')} is {value}; it must be 1 or more")
+    for name, most in (("transitions", MAX_TRANSITIONS), ("worlds", MAX_SHARD), ("shard_transitions", MAX_SHARD)):
+        check_count(name, getattr(args, name), most)
     if args.min_rate is not None and not 0 <= args.min_rate <= 1:
         raise UserError(f"--min-rate is {args.min_rate:g}; it is a solve rate, from 0 to 1")
     if args.greedy and args.policy in BASELINES:

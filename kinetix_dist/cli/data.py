@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from kinetix_dist.cli.checks import check_output_directory, start_computing
+from kinetix_dist.cli.checks import check_count, check_output_directory, start_computing
 from kinetix_dist.cli.streams import say
 from kinetix_dist.errors import UserError, one_line, user_errors
 
 if TYPE_CHECKING:
     from kinetix_dist.data.shards import Shard
 
+MAX_TRAJECTORIES = 10**9  # the published data have 11.5 million
 SHOWN = 3  # trajectories that are left out, whose reasons are printed
 
 
@@ -65,8 +66,7 @@ def run(args: Any) -> int:
 
 def _import(args: ImportKinetix) -> int:
     for name in ("trajectories", "shard_trajectories"):
-        if (value := getattr(args, name)) is not None and value < 1:
-            raise UserError(f"--{name.replace('_', '-')} is {value:g}; it must be 1 or more")
+        check_count(name, getattr(args, name), MAX_TRAJECTORIES)
     check_output_directory(args.out)
     from kinetix_dist.data import DatasetError
     from kinetix_dist.data.kinetix_import import choose, import_offline

@@ -71,13 +71,16 @@ def to_parquet(rows: Transitions) -> bytes:
     return sink.getvalue().to_pybytes()
 
 
-def from_parquet(content: bytes, static_obs: Any, shapes: Any, *, num_rows: int | None = None) -> Transitions:
+def from_parquet(
+    content: bytes, static_obs: Any, shapes: Any, actions: jax.ShapeDtypeStruct, *, num_rows: int | None = None
+) -> Transitions:
     """Return the rows of a shard.
 
     Args:
         content: the file.
         static_obs: [L, ...] of each level, for the result.
         shapes: `observation_shapes` of the dynamic observation.
+        actions: [any, ...], as the action space stores them.
         num_rows: that the file must have; `None` if any number is valid.
 
     Raises:
@@ -89,10 +92,10 @@ def from_parquet(content: bytes, static_obs: Any, shapes: Any, *, num_rows: int 
     named = named_shapes(shapes)
     expected = {column_of(name): _arrow_type(leaf.dtype, leaf.shape[1:]) for name, leaf in named.items()}
     expected |= {name: pa.from_numpy_dtype(dtype) for name, dtype in ROW_TYPES.items()}
+    expected[ACTION] = _arrow_type(actions.dtype, actions.shape[1:])
     for name, arrow_type in expected.items():
         _check_type(file.schema_arrow, name, arrow_type)
-    _check_type(file.schema_arrow, ACTION)
-    table = file.read(columns=[*expected, ACTION])
+    table = file.read(columns=list(expected))
     dynamic = {
         name: _array(table, column_of(name)).reshape(table.num_rows, *leaf.shape[1:]) for name, leaf in named.items()
     }
@@ -133,17 +136,13 @@ def _arrow_type(dtype: Any, shape: tuple[int, ...]) -> pa.DataType:
     return pa.list_(value, math.prod(shape)) if shape else value
 
 
-def _check_type(schema: pa.Schema, name: str, expected: pa.DataType | None = None) -> None:
-    """Raise ValueError for a column that is missing or of another type; `None`: numbers or lists of a fixed size."""
+def _check_type(schema: pa.Schema, name: str, expected: pa.DataType) -> None:
+    """Raise ValueError if a column is missing, comes twice or has another type."""
     if schema.names.count(name) != 1:
         raise ValueError(f"column {name} is missing" if name not in schema.names else f"column {name} comes twice")
-    found = schema.field(name).type
-    if expected is None:
-        value = found.value_type if pa.types.is_fixed_size_list(found) else found
-        if not (pa.types.is_integer(value) or pa.types.is_floating(value)):
-            raise ValueError(f"column {name} has {found}, not numbers")
-    elif not found.equals(expected):
-        raise ValueError(f"column {name} has {found}, not {expected}")
+    stored = schema.field(name).type
+    if not stored.equals(expected):
+        raise ValueError(f"column {name} has {stored}, not {expected}")
 
 
 def _array(table: pa.Table, name: str) -> np.ndarray:

@@ -17,12 +17,22 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pyarrow as pa
 
 from kinetix_dist.data.columns import Transitions, from_parquet, joined, picked
 from kinetix_dist.data.level_file import Levels, read_levels
-from kinetix_dist.data.manifest import SHARDS, DatasetError, check_env, env_config_of, observation_shapes, read_manifest
+from kinetix_dist.data.manifest import (
+    SHARDS,
+    DatasetError,
+    check_env,
+    env_config_of,
+    knows_policy,
+    observation_shapes,
+    quoted,
+    read_manifest,
+)
 from kinetix_dist.data.row_checks import fault_of_rows
 from kinetix_dist.data.shards import INDEX, REMEDY, Shard, read_content, read_index
 from kinetix_dist.env.env_config import EnvConfig
@@ -73,7 +83,7 @@ class Dataset:
     @functools.cached_property
     def levels(self) -> Levels:
         """Levels with their static observations and masks."""
-        return read_levels(self.folder, self._env, self.manifest["levels"]["sha256"])
+        return read_levels(self.folder, self._env, self.manifest["levels"])
 
     @functools.cached_property
     def _env(self) -> Environment:
@@ -83,6 +93,11 @@ class Dataset:
     def _shapes(self) -> Any:
         return observation_shapes(self._env)[1]
 
+    @property
+    def _action_shape(self) -> jax.ShapeDtypeStruct:
+        space = self._env.action_space
+        return jax.ShapeDtypeStruct(space.shape(1), space.stored_dtype)
+
     def check_env(self, config: EnvConfig) -> None:
         """Raises DatasetError, naming it, where size, observation, actions or physics are others than these."""
         check_env(self.manifest, config, self.folder)
@@ -91,7 +106,7 @@ class Dataset:
         """Raises DatasetError where these levels of the set `name` are not those that were played."""
         theirs = self.manifest["levels"]
         number = int(np.shape(levels.angle)[0])
-        text = f"data set {self.folder} is of level set {theirs['set']!r} ({theirs['number']} levels)"
+        text = f"data set {self.folder} is of level set {quoted(theirs['set'])} ({theirs['number']} levels)"
         if number != theirs["number"]:
             raise DatasetError(f"{text}, not of {name!r} ({number} levels); give that one, or another data set")
         if not is_in_order(levels, theirs["fingerprint"]):
@@ -166,12 +181,13 @@ class Dataset:
     def _part(self, shard: Shard, static_obs: Any, shapes: Any) -> Transitions:
         content = read_content(self.folder, shard)
         try:
-            rows = from_parquet(content, static_obs, shapes, num_rows=shard.rows)
+            rows = from_parquet(content, static_obs, shapes, self._action_shape, num_rows=shard.rows)
         except (ValueError, OSError, pa.ArrowException) as error:  # Arrow raises OSError for damaged pages
             fault: str | None = one_line(error)
         else:
             first_row = shard.shard * self.manifest["shard_transitions"]
-            fault = fault_of_rows(rows, shard, self._env.action_space, first_row)
+            is_policy_known = knows_policy(self.manifest)
+            fault = fault_of_rows(rows, shard, self._env.action_space, first_row, is_policy_known=is_policy_known)
             if fault is None:
                 return rows
         raise DatasetError(f"shard {self.folder / shard.file} holds no valid transitions: {fault}{REMEDY}")

@@ -214,7 +214,7 @@ def _executed(actions: np.ndarray, space: ActionSpace, folder: Path) -> np.ndarr
             f"{folder}: an action has {actions[wrong]} for {space.action_names[wrong[2]].name}, and {low[wrong[2]]:g} "
             f"to {high[wrong[2]]:g} is possible; these data are of another layout"
         )
-    return actions.astype(np.int8 if space.is_integer else np.float32)
+    return actions.astype(space.stored_dtype)
 
 
 def _manifest(source: KinetixOffline, chosen: Chosen, levels_content: bytes, per_shard: int) -> dict[str, Any]:
@@ -227,7 +227,7 @@ def _manifest(source: KinetixOffline, chosen: Chosen, levels_content: bytes, per
             "fingerprint": fingerprint(chosen.levels),
         },
         {
-            "policy": {"name": "kinetix-offline", "version": -1, "sha256": "", "greedy": False},
+            "policy": {"name": manifest.UNKNOWN_POLICY, "version": -1, "sha256": "", "greedy": False},
             "noise": 0.0,
             "sticky": 0.0,
             "seed": 0,

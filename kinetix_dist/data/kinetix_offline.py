@@ -1,4 +1,4 @@
-"""Reader of the offline data of the public Kinetix package: trajectories of its states, lazily, by tensorstore.
+"""Lazy reader of the offline data of the public Kinetix package: trajectories of states, read with tensorstore.
 
 The layout is the one that `kinetix.data` of kinetix-env 3.0.2 loads (`ZarrTrajDataSource`): a zarr group of format 2.
 Each array in it is a shard of records [trajectories, steps], and each field of a record has an axis of length 1 before
@@ -16,17 +16,18 @@ to arrays; zarr-python 3 does not have records with such fields, and tensorstore
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
-from kinetix_dist.data.manifest import DatasetError
+from kinetix_dist.data.manifest import DatasetError, quoted
+from kinetix_dist.text_files import read_json
 
 STATE = "env_state/"
 MAX_REASON = 200  # characters
+MAX_COUNT = 2**31  # trajectories of a shard, or their steps: sums and products fit into 64 bits
 CACHE_BYTES = 1 << 30  # decoded chunks: all fields of a chunk are decoded at once
 _SHAPE_FIELDS = (
     "position", "rotation", "velocity", "angular_velocity", "inverse_mass", "friction", "restitution",
@@ -51,12 +52,12 @@ FIELDS = ("action", "action_mask", "done", *(STATE + name for name in STATE_FIEL
 
 
 class KinetixOffline:
-    """A folder of shards. What cannot be read raises `DatasetError`, one line."""
+    """A folder of shards. Faults raise `DatasetError`, one line."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         shapes = _shapes(folder)
-        self.shards = list(shapes)  # names of those that are not empty, sorted
+        self.shards = list(shapes)  # names of the shards with trajectories, sorted
         self.num_steps = shapes[self.shards[0]][1]  # of each trajectory
         if odd := [name for name, shape in shapes.items() if shape[1] != self.num_steps]:
             raise DatasetError(
@@ -76,7 +77,7 @@ class KinetixOffline:
         return f"{self.shards[shard]}/{number - self._starts[shard]}"
 
     def read(self, start: int, stop: int, fields: Sequence[str] = FIELDS) -> dict[str, np.ndarray]:
-        """Fields [stop - start, steps, ...] of these trajectories. Raises DatasetError for what is not there."""
+        """Fields [stop - start, steps, ...] of these trajectories. Raises DatasetError if the data lack them."""
         if not 0 <= start < stop <= len(self):
             raise DatasetError(f"{self.folder} has trajectories 0 to {len(self) - 1}, not {start} to {stop - 1}")
         parts = []
@@ -145,17 +146,26 @@ def _shapes(folder: Path) -> dict[str, list[int]]:
     shapes = {}
     for file in files:
         try:
-            shape = json.loads(file.read_bytes())["shape"]
-            if shape[0] > 0:
-                shapes[file.parent.name] = [int(shape[0]), int(shape[1])]
-        except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
-            raise DatasetError(f"{file} cannot be read ({type(error).__name__}: {error})") from None
+            content = read_json(file)
+        except (OSError, ValueError) as error:
+            raise DatasetError(f"{file} cannot be read ({error}); download it again") from None
+        shape = content.get("shape") if isinstance(content, dict) else None
+        if not _is_shape(shape):
+            raise DatasetError(f"{file}: shape is {quoted(shape)}, not [trajectories, steps]; download it again")
+        if shape[0] > 0:
+            shapes[file.parent.name] = shape
     if not shapes:
         raise DatasetError(f"{folder} has {len(files)} arrays, and no trajectory in any")
     return shapes
 
 
+def _is_shape(shape: Any) -> TypeGuard[list[int]]:
+    """Return whether this is [trajectories, steps]."""
+    is_counts = isinstance(shape, list) and all(type(n) is int and 0 <= n <= MAX_COUNT for n in shape)
+    return is_counts and len(shape) == 2 and shape[1] > 0
+
+
 def _reason(error: ValueError) -> str:
-    """What tensorstore says, without its specifications, lists and places in its source."""
+    """Return the message of tensorstore without specifications, lists and places in its source."""
     text = " ".join(str(error).split()).split(" [", 1)[0].split(" is not one of", 1)[0]
     return text.rsplit('"zarr" driver: ', 1)[-1][:MAX_REASON]

@@ -13,6 +13,7 @@ import hashlib
 import io
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ from kinetix_dist.atomic_files import replace_file
 from kinetix_dist.checkpoint import ArrayMismatchError, flatten_arrays, select_arrays, unflatten_arrays
 from kinetix_dist.data.manifest import DatasetError, observation_shapes
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.level.fingerprints import is_in_order
 from kinetix_dist.level.level import Level, obeying_motors
 from kinetix_dist.level.walls import empty_level
 
@@ -92,24 +94,33 @@ def write_levels(folder: Path, content: bytes) -> None:
     replace_file(folder / FILE, content)
 
 
-def read_levels(folder: Path, env: Environment, sha256: str) -> Levels:
-    """Read the levels. Raise DatasetError if the file is missing, damaged or of another environment."""
+def read_levels(folder: Path, env: Environment, described: Mapping[str, Any]) -> Levels:
+    """Read the levels.
+
+    Args:
+        folder: the data set.
+        env: its environment.
+        described: table "levels" of the manifest.
+
+    Raises:
+        DatasetError: the file is missing or damaged, or holds the levels of another environment or manifest.
+    """
     path = folder / FILE
     try:
         content = path.read_bytes()
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror}") from None
-    if hashlib.sha256(content).hexdigest() != sha256:
+    if hashlib.sha256(content).hexdigest() != described["sha256"]:
         raise DatasetError(f"{path} is damaged: its SHA-256 is not that of the manifest; copy or collect it again")
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         num_levels = _check_tables(arrays, env)
-        levels = jax.tree.map(
+        shapes = jax.tree.map(
             lambda x: jax.ShapeDtypeStruct((num_levels, *np.shape(x)), np.asarray(x).dtype), empty_level(env.capacity)
         )
-        return Levels(
-            levels=unflatten_arrays(levels, select_arrays(arrays, "level")),
+        levels = Levels(
+            levels=unflatten_arrays(shapes, select_arrays(arrays, "level")),
             names=arrays["names"].tolist(),
             static_obs=unflatten_arrays(observation_shapes(env, num_levels)[0], select_arrays(arrays, "static_obs")),
             robot_mask=arrays["robot_mask"],
@@ -117,6 +128,13 @@ def read_levels(folder: Path, env: Environment, sha256: str) -> Levels:
         )
     except (ArrayMismatchError, KeyError, ValueError, OSError, EOFError, zlib.error, zipfile.BadZipFile) as error:
         raise DatasetError(f"{path} is not of this environment, or of another version: {error}") from None
+    if num_levels != described["number"]:
+        raise DatasetError(
+            f"{path} has {num_levels:,} levels, and the manifest {described['number']:,}; copy or collect it again"
+        )
+    if not is_in_order(levels.levels, described["fingerprint"]):
+        raise DatasetError(f"{path} has other levels than the fingerprint of the manifest; copy or collect it again")
+    return levels
 
 
 def _check_tables(arrays: dict[str, np.ndarray], env: Environment) -> int:

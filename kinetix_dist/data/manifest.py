@@ -7,7 +7,6 @@ reader can tell a data set whose command was killed; `collect` may add more late
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,9 +20,11 @@ from kinetix_dist.checkpoint import flatten_arrays
 from kinetix_dist.config import build, differing, to_dict
 from kinetix_dist.env.env_config import EnvConfig, describe
 from kinetix_dist.env.environment import Environment
+from kinetix_dist.errors import one_line, shortened
 from kinetix_dist.installation import version_of
 from kinetix_dist.json_text import json_text
 from kinetix_dist.level.walls import empty_level
+from kinetix_dist.text_files import read_json
 
 FILE = "dataset.json"
 FORMAT = "kinetix-dist-dataset"
@@ -33,12 +34,19 @@ ABOUT_ONLY = ("package", SHARDS)  # entries that may differ between two runs of 
 # Names of contents: entries that may differ if the other entries of their table are equal.
 LABELS = {"levels": "set", "policy": "name"}
 HASH = "sha256"  # of the contents of such a table; a policy without parameters has "", and only its name
-PATTERNS = {HASH: re.compile(r"[0-9a-f]{64}"), "fingerprint": re.compile(r"[0-9a-f]{4}\.-?\d+( [0-9a-f]{4}\.-?\d+)*")}
+_CODE = r"[0-9a-f]{4}\.-?[0-9]{1,19}"
+PATTERNS = {HASH: re.compile(r"[0-9a-f]{64}"), "fingerprint": re.compile(rf"{_CODE}( {_CODE})*")}
 MAX_TEXT = 120  # characters of a difference
+_REMEDY = "copy the data set again, or make it again in another folder"
+MAX_QUOTED = 60  # characters of a value in a message
+UNKNOWN_POLICY = "kinetix-offline"  # policy of imported data, which have no log-probabilities
 
 
 class DatasetError(ValueError):
-    """A data set cannot be used; the message gives the reason in one line."""
+    """A data set cannot be used; the message gives the reason in one printable line."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 def make_manifest(env: Environment, levels: Mapping[str, Any], behaviour: Mapping[str, Any]) -> dict[str, Any]:
@@ -111,30 +119,32 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """Read the description. Raise DatasetError if it is missing, damaged, or of another format or version."""
     path = folder / FILE
     try:
-        manifest = json.loads(path.read_bytes())
-        kind, number = manifest["format"], manifest["version"]
+        manifest = read_json(path)
     except (FileNotFoundError, NotADirectoryError):
         raise DatasetError(f"{folder} is no data set: it has no {FILE}; `kinetix-dist collect` makes one") from None
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise DatasetError(f"{path} cannot be read ({type(error).__name__}: {error})") from None
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path} cannot be read ({error}); {_REMEDY}") from None
+    if not isinstance(manifest, dict):
+        raise DatasetError(f"{path} holds no JSON object; {_REMEDY}")
+    kind, number = manifest.get("format"), manifest.get("version")
     if kind != FORMAT:
-        raise DatasetError(f"{path} is of format {kind!r}, not {FORMAT!r}")
-    if number != VERSION:
+        raise DatasetError(f"{path} is of format {quoted(kind)}, not {FORMAT!r}")
+    if type(number) is not int or number != VERSION:
         raise DatasetError(
-            f"{path} has format version {number}, and this version of kinetix-dist reads {VERSION}; "
-            f"it was written by kinetix-dist {manifest.get('package')}"
+            f"{path} has format version {quoted(number)}, and this version of kinetix-dist reads {VERSION}; "
+            f"it was written by kinetix-dist {shortened(str(manifest.get('package')), MAX_QUOTED)}"
         )
     if fault := _fault(manifest):
-        raise DatasetError(f"{path} is damaged: {fault}; copy the data set again, or make it again in another folder")
+        raise DatasetError(f"{path} is damaged: {fault}; {_REMEDY}")
     return manifest
 
 
 def _fault(manifest: Mapping[str, Any]) -> str | None:
-    """Return the first entry that a reader needs and a manifest lacks, in words; `None` if there is no such entry."""
+    """Return the first entry that a reader needs and a manifest lacks, in words; `None` if all are there."""
     for name, kind in (("env", dict), ("physics", str), ("levels", dict), ("policy", dict), ("shard_transitions", int)):
         if type(manifest.get(name)) is not kind:
             return f"{name} is missing or of another type"
-    if type(manifest.get(SHARDS, 0)) is not int:  # earlier versions have none
+    if type(manifest.get(SHARDS, 0)) is not int:  # earlier versions lack it
         return f"{SHARDS} is of another type"
     levels = manifest["levels"]
     for table, name, kind in (
@@ -152,6 +162,17 @@ def _fault(manifest: Mapping[str, Any]) -> str | None:
     return None
 
 
+def quoted(value: Any) -> str:
+    """Return a value of a file for a message: printable and short."""
+    return shortened(repr(value), MAX_QUOTED)
+
+
+def knows_policy(manifest: Mapping[str, Any]) -> bool:
+    """Return whether the policy is known, so that its actions have log-probabilities."""
+    policy = manifest["policy"]
+    return policy["name"] != UNKNOWN_POLICY or bool(policy.get(HASH))  # a run may have that name, and has parameters
+
+
 def env_config_of(manifest: Mapping[str, Any], folder: Path) -> EnvConfig:
     """Return the environment of the data set. Raise DatasetError if this version does not have it."""
     try:
@@ -161,7 +182,7 @@ def env_config_of(manifest: Mapping[str, Any], folder: Path) -> EnvConfig:
 
 
 def check_same_collection(found: Mapping[str, Any], wanted: Mapping[str, Any], folder: Path) -> None:
-    """Raise DatasetError if the data set of a folder is not the one that a command would write.
+    """Raise DatasetError if the data set of a folder differs from the data set that a command would write.
 
     Contents are compared by their hashes: equal levels or parameters may have another path.
     """
@@ -188,6 +209,6 @@ def check_env(manifest: Mapping[str, Any], config: EnvConfig, folder: Path) -> N
             )
     if manifest["physics"] != describe(config.physics):
         raise DatasetError(
-            f"data set {folder} is of physics {manifest['physics']!r}, not {describe(config.physics)!r}; give "
+            f"data set {folder} is of physics {quoted(manifest['physics'])}, not {describe(config.physics)!r}; give "
             "--env.preset or another data set"
         )

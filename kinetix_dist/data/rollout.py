@@ -89,10 +89,9 @@ def play(
         decided = _decide(Player(policy, params), env, prepared, obs, keys, memory)
         actions, chosen_by = _disturb(disturbance, space, decided.actions, before, is_first, keys)
         env_state, next_obs, reward, done, info = env.step(prepared, env_state, actions)
-        stored = actions if space.distribution is None else actions.astype(space.distribution.stored_dtype)
         taken = Played(
             dynamic_obs=obs,
-            actions=stored,
+            actions=actions.astype(space.stored_dtype),
             rewards=reward,
             done=done,
             solved=info.solved,

@@ -21,8 +21,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kinetix_dist.atomic_files import replace_file
-from kinetix_dist.data.manifest import DatasetError
+from kinetix_dist.data.manifest import DatasetError, quoted
 from kinetix_dist.telemetry.json_lines import append_line, mend_lines, parse_row
+from kinetix_dist.text_files import MAX_INTEGER
 
 INDEX = "shards.jsonl"
 REMEDY = "; collect it again (delete its line of shards.jsonl), or leave it out with skip_damaged"
@@ -104,11 +105,13 @@ def parse_shard(row: dict[str, Any], max_rows: int) -> Shard:
         raise ValueError(f"{unknown[0][:40]!r} is unknown")
     for name in ("shard", "rows", "bytes", "episodes", "solved"):
         if type(row[name]) is not int or row[name] < 0:
-            raise ValueError(f"{name} is {_short(row[name])}, not a count")
+            raise ValueError(f"{name} is {quoted(row[name])}, not a count")
     if row["file"] != (expected := file_of(row["shard"])):
-        raise ValueError(f"file is {_short(row['file'])}; shard {row['shard']} is {expected}")
+        raise ValueError(f"file is {quoted(row['file'])}; shard {row['shard']} is {expected}")
     if not isinstance(row["sha256"], str) or not SHA256.fullmatch(row["sha256"]):
-        raise ValueError(f"sha256 is {_short(row['sha256'])}, not 64 hexadecimal digits")
+        raise ValueError(f"sha256 is {quoted(row['sha256'])}, not 64 hexadecimal digits")
+    if (row["shard"] + 1) * max_rows > MAX_INTEGER:
+        raise ValueError(f"shard is {row['shard']}: the numbers of its rows have more than 64 bits")
     if not 1 <= row["rows"] <= max_rows:
         raise ValueError(f"rows is {row['rows']:,}; a shard of this data set has 1 to {max_rows:,}")
     if not row["solved"] <= row["episodes"] <= row["rows"]:
@@ -195,8 +198,3 @@ def _gaps(numbers: Iterable[int]) -> Iterator[range]:
 
 def _in_words(gap: range) -> str:
     return f"shard {gap[0]}" if len(gap) == 1 else f"shards {gap[0]} to {gap[-1]}"
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:60]}..."

@@ -210,7 +210,8 @@ def test_any_observation_and_action_comes_back_from_a_shard(actions: np.ndarray)
         episode=numbers.astype(np.int64),
         **columns,
     )
-    found = from_parquet(to_parquet(rows), "static", jnp.zeros((1, 4, 3)))
+    shapes = jnp.zeros((1, 4, 3)), jax.ShapeDtypeStruct(actions.shape, actions.dtype)
+    found = from_parquet(to_parquet(rows), "static", *shapes)
     for name, value in rows._asdict().items():
         np.testing.assert_array_equal(getattr(found, name), value)
         assert name == "static_obs" or getattr(found, name).dtype == value.dtype

@@ -102,7 +102,7 @@ def test_another_format_is_refused(data: Path, change: dict[str, object], text: 
 
 def test_half_a_manifest_is_refused(data: Path) -> None:
     (data / "dataset.json").write_text((data / "dataset.json").read_text()[:300])
-    with pytest.raises(DatasetError, match=r"dataset.json cannot be read \(JSONDecodeError"):
+    with pytest.raises(DatasetError, match=r"dataset.json cannot be read \(.*; copy the data set again"):
         open_dataset(data)
 
 

@@ -218,6 +218,11 @@ def test_a_chunk_that_was_not_downloaded_is_an_error(tmp_path: Path, capsys: pyt
         (STORED / "shard_00000", [], "holds no zarr arrays; give a split of the data"),
         (STORED, ["--first", "6"], "--first is 6, and "),
         (STORED, ["--trajectories", "0.5"], "--trajectories is 0.5; it must be 1 or more"),
+        (
+            STORED,
+            ["--shard-trajectories", str(10**30)],
+            "--shard-trajectories is 100000000000000000...000000000; give 1,000,000,000 or less",
+        ),
         (STORED, ["--shard-trajectories", "0"], "--shard-trajectories is 0; it must be 1 or more"),
         (STORED, ["--observation", "sound"], "EnvConfig.observation is 'sound'; choose one of entity"),
     ],
@@ -243,7 +248,28 @@ def test_another_layout_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"shard_00001: field 'env_state/timestep' cannot be read: Requested field"):
         KinetixOffline(folder).read(0, 6)
     array.write_text(text[:200])
-    with pytest.raises(DatasetError, match=r"shard_00001/.zarray cannot be read \(JSONDecodeError"):
+    with pytest.raises(DatasetError, match=r"shard_00001/.zarray cannot be read \(.*; download it again"):
+        KinetixOffline(folder)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ('{"shape": [3, 48], "shape": [3, 48]}', "an object has the key 'shape' twice"),
+        (f'{{"shape": [3, {10**30}]}}', "an integer of more than 64 bits"),
+        ('{"shape": [true, 48]}', r"shape is \[True, 48\], not \[trajectories, steps\]"),
+        ('{"shape": [3, 48.0]}', r"shape is \[3, 48.0\], not"),
+        ('{"shape": [-3, 48]}', r"shape is \[-3, 48\], not"),
+        ('{"shape": [3, 0]}', r"shape is \[3, 0\], not"),
+        ('{"shape": [3]}', r"shape is \[3\], not"),
+        (f'{{"shape": [{2**62}, 48]}}', r"shape is \[4611686018427387904, 48\], not"),
+        ("[]", "shape is None, not"),
+    ],
+)
+def test_a_description_of_an_array_that_cannot_be_is_one_line(tmp_path: Path, content: str, text: str) -> None:
+    folder = Path(shutil.copytree(STORED, tmp_path / "zarr"))
+    (folder / "shard_00001" / ".zarray").write_text(content)
+    with pytest.raises(DatasetError, match=rf"shard_00001/.zarray.*{text}.*; download it again$"):
         KinetixOffline(folder)
 
 

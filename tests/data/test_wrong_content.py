@@ -20,12 +20,15 @@ from kinetix_dist.cli.main import main
 from kinetix_dist.cli.train import _check_inputs as check_inputs
 from kinetix_dist.data import DatasetError, open_dataset
 from kinetix_dist.data.collect import Collection, collect
+from kinetix_dist.data.manifest import UNKNOWN_POLICY
+from kinetix_dist.data.rollout import ChosenBy, Disturbance
 from kinetix_dist.env.environment import Environment
-from kinetix_dist.evaluation.policies import Player, RandomPolicy
+from kinetix_dist.evaluation.policies import NoopPolicy, Player, RandomPolicy
 from kinetix_dist.recipes import recipe
 from tests.data.small_collection import NUM_SHARDS
 
 ROWS = 80  # of a shard
+ACTIONS = "fixed_size_list<item: int8>[6]"
 Row = dict[str, Any]
 
 
@@ -66,9 +69,31 @@ def with_type(name: str, arrow_type: pa.DataType) -> Callable[[pa.Table], pa.Tab
     )
 
 
+def narrowed(name: str) -> Callable[[pa.Table], pa.Table]:
+    """Keeps the first three numbers of each list."""
+
+    def change(table: pa.Table) -> pa.Table:
+        column = table.column(name)
+        values = pa.array([row[:3] for row in column.to_pylist()], pa.list_(column.type.value_type, 3))
+        return table.set_column(table.column_names.index(name), name, values)
+
+    return change
+
+
+def of_the_policy(change: Callable[[pa.Table], pa.Table]) -> Callable[[pa.Table], pa.Table]:
+    """Says also that the policy chose the action of row 17."""
+    return lambda table: with_value("chosen_by", int(ChosenBy.POLICY))(change(table))
+
+
+def change_manifest(data: Path, change: Callable[[Row], None]) -> None:
+    manifest = json.loads((data / "dataset.json").read_text())
+    change(manifest)
+    (data / "dataset.json").write_text(json.dumps(manifest))
+
+
 def one_line(error: pytest.ExceptionInfo[DatasetError]) -> str:
     text = str(error.value)
-    assert "\n" not in text
+    assert text.isprintable() and len(text) < 800
     return text
 
 
@@ -176,7 +201,7 @@ def test_a_damaged_last_line_is_no_torn_one(data: Path) -> None:
 
 def test_an_index_of_an_astronomical_number_is_one_line(data: Path) -> None:
     rows = index_of(data)
-    number = 2**62
+    number = 2**50
     write_index(data, [*rows, rows[2] | {"shard": number, "file": f"shard-{number}.parquet"}])
     with pytest.raises(DatasetError, match=f"there is no line of shards 3 to {number - 1}"):
         open_dataset(data)
@@ -208,6 +233,16 @@ def test_an_index_or_a_shard_that_is_a_directory_is_one_line(data: Path) -> None
         (with_value("episode", 0), "row 17 is not row 80 and so on of the data set"),
         (with_value("first", False, row=0), "row 0 is a first step by only one of first and step"),
         (with_value("policy_version", -2), "row 17 is of a negative policy_version"),
+        (with_value("log_prob", math.nan), "row 17 has a log_prob that is not finite"),
+        (with_value("log_prob", math.inf), "row 17 has a log_prob that is not finite"),
+        (with_value("log_prob", 5.0), "row 17 has a log_prob above 0, a probability above 1"),
+        (with_value("log_prob", 2e-5), "row 17 has a log_prob above 0, a probability above 1"),
+        (of_the_policy(with_value("log_prob", -math.inf)), "row 17 has an action of the policy with probability 0"),
+        *(
+            (with_type("action", pa.list_(value, 6)), f": {value}>[6], not {ACTIONS}")
+            for value in (pa.float64(), pa.int64(), pa.uint64(), pa.uint8(), pa.float32(), pa.int32())
+        ),
+        (narrowed("action"), f": int8>[3], not {ACTIONS}"),
         (with_type("reward", pa.float64()), "column reward has double, not float"),
         (with_type("level", pa.int64()), "column level has int64, not int32"),
         (lambda table: table.drop_columns(["step"]), "column step is missing"),
@@ -296,3 +331,108 @@ def test_every_observation_and_action_that_is_collected_is_valid(
     player = Player(RandomPolicy(env.action_space))
     collect(dataclasses.replace(collection, env=env, player=player), tmp_path / "data", 1)
     assert len(open_dataset(tmp_path / "data").read().done) == ROWS
+
+
+def test_an_action_that_the_policy_never_takes_has_probability_zero(collection: Collection, tmp_path: Path) -> None:
+    player = Player(NoopPolicy(collection.env.action_space))
+    disturbed = dataclasses.replace(collection, player=player, disturbance=Disturbance(noise=0.5))
+    collect(disturbed, tmp_path / "data", 1)
+    rows = open_dataset(tmp_path / "data").read()
+    assert np.isneginf(rows.log_prob).any() and (rows.log_prob == 0).any()
+
+
+def test_log_probabilities_are_unknown_if_the_policy_is(data: Path) -> None:
+    def forget(manifest: Row) -> None:
+        manifest["policy"]["name"] = UNKNOWN_POLICY
+
+    change_manifest(data, forget)
+    with pytest.raises(DatasetError, match="row 0 has a log_prob, and the policy is unknown"):
+        open_dataset(data).read([1])
+
+    def without(table: pa.Table) -> pa.Table:
+        values = pa.array(np.full(ROWS, np.nan, np.float32))
+        return table.set_column(table.column_names.index("log_prob"), "log_prob", values)
+
+    rewrite(data, without)
+    assert np.isnan(open_dataset(data).read([1]).log_prob).all()
+    change_manifest(data, lambda manifest: manifest["policy"].update(sha256="0" * 64))  # a run of that name
+    with pytest.raises(DatasetError, match="row 0 has a log_prob that is not finite"):
+        open_dataset(data).read([1])
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"number": 99}, "levels.npz has 3 levels, and the manifest 99"),
+        ({"fingerprint": "0000.1 0000.2 0000.3"}, "levels.npz has other levels than the fingerprint of the manifest"),
+        ({"fingerprint": "0000.1"}, "levels.npz has other levels than the fingerprint of the manifest"),
+    ],
+)
+def test_levels_are_those_of_the_manifest(data: Path, change: Row, text: str) -> None:
+    change_manifest(data, lambda manifest: manifest["levels"].update(change))
+    with pytest.raises(DatasetError) as error:
+        open_dataset(data).read()
+    assert text in one_line(error)
+
+
+def test_a_fingerprint_of_endless_digits_is_malformed(data: Path) -> None:
+    change_manifest(data, lambda manifest: manifest["levels"].update(fingerprint="0000." + "1" * 5000))
+    with pytest.raises(DatasetError, match=r"levels\.fingerprint is malformed"):
+        open_dataset(data)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ('"version": 1,', '"version": 1, "version": 1,', "an object has the key 'version' twice"),
+        ('"version": 1,', '"version": true,', "has format version True, and"),
+        ('"version": 1,', '"version": 1.0,', "has format version 1.0, and"),
+        ('"version": 1,', "", "has format version None, and"),
+        ('"number": 3,', f'"number": {10**30},', "levels.number is an integer of more than 64 bits"),
+        ('"shard_transitions": 80', f'"shard_transitions": {10**30}', "shard_transitions is an integer of more than"),
+        ('"noise": 0.25', '"noise": NaN', "noise is nan, which JSON does not have"),
+    ],
+)
+def test_a_manifest_is_strict_json(data: Path, old: str, new: str, text: str) -> None:
+    path = data / "dataset.json"
+    stored = path.read_text()
+    assert stored.count(old) == 1
+    path.write_text(stored.replace(old, new))
+    with pytest.raises(DatasetError) as error:
+        open_dataset(data)
+    assert text in one_line(error)
+
+
+def test_a_manifest_that_is_no_object_is_one_line(data: Path) -> None:
+    (data / "dataset.json").write_text("[1]")
+    with pytest.raises(DatasetError, match=r"dataset.json holds no JSON object; copy the data set again"):
+        open_dataset(data)
+
+
+def test_rows_that_64_bits_cannot_number_are_a_fault_of_the_index(data: Path) -> None:
+    change_manifest(data, lambda manifest: manifest.update(shard_transitions=2**62))
+    with pytest.raises(
+        DatasetError, match=r"line 2 cannot be used: shard is 1: the numbers of its rows have more than"
+    ):
+        open_dataset(data)
+    assert len(open_dataset(data, skip_damaged=True).read().done) == ROWS
+
+
+@pytest.mark.parametrize("hostile", ["\x1b[2J\u202e\n" * 10, "y" * 100_000, ["\x1b" * 50_000], {"\x1b": "z" * 100_000}])
+@pytest.mark.parametrize("name", ["format", "version", "package", "physics", "env", "levels", "policy"])
+def test_messages_quote_a_manifest_in_short_and_printable_text(data: Path, name: str, hostile: Any) -> None:
+    def change(manifest: Row) -> None:
+        manifest[name] = hostile
+        if name == "package":
+            manifest["version"] = 2
+
+    change_manifest(data, change)
+    with pytest.raises(DatasetError) as error:
+        dataset = open_dataset(data)
+        dataset.check_env(dataset.env_config)
+    one_line(error)
+
+
+def test_the_error_of_a_data_set_is_one_printable_line() -> None:
+    text = str(DatasetError("a\x1b[2J\n\u202e" + "z" * 100_000))
+    assert text.isprintable() and len(text) <= 2000

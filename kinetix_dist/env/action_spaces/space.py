@@ -99,6 +99,11 @@ class ActionSpace(abc.ABC):
     def dtype(self) -> Any:
         return jnp.int32 if self.is_integer else jnp.float32
 
+    @property
+    def stored_dtype(self) -> np.dtype:
+        """Type in which data sets keep actions."""
+        return np.dtype(self.dtype if self.distribution is None else self.distribution.stored_dtype)
+
     def shape(self, num_worlds: int) -> tuple[int, ...]:
         return (num_worlds,) if self.is_flat else (num_worlds, self.num_dimensions)
 
