@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from kinetix_dist import prng
-from kinetix_dist.cli.checks import check_output_file, check_seed
+from kinetix_dist.cli.checks import check_count, check_output_file, check_seed
 from kinetix_dist.cli.eval_search import DEFAULT_STARTS, check_search, search, searched_table, wants_search
 from kinetix_dist.cli.text_table import MAX_ROWS, aligned, rows_left_out
 from kinetix_dist.errors import UserError, user_errors
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 BASELINES = ("random", "noop")
 MAX_RECORDED = 100  # levels of a recording
+MAX_ATTEMPTS = 10**6  # of each level
+MAX_WORLDS = 1 << 24
 
 
 @dataclasses.dataclass
@@ -208,9 +210,8 @@ def check(args: Args) -> None:
         raise UserError(f"a trained policy comes from --run or --checkpoint, {what}; or choose --policy random")
     if args.policy != "trained" and given:
         raise UserError(f"--policy {args.policy} plays without --{given[0]}; leave one of them out")
-    for name in ("attempts", "max_worlds"):
-        if getattr(args, name) < 1:
-            raise UserError(f"--{name.replace('_', '-')} is {getattr(args, name)}; it must be 1 or more")
+    check_count("attempts", args.attempts, MAX_ATTEMPTS)
+    check_count("max_worlds", args.max_worlds, MAX_WORLDS)
     if args.preset is not None:
         from jax2d.settings import preset
 

@@ -26,9 +26,9 @@ class Transitions(NamedTuple):
     """N transitions of L levels; the rows of an episode are contiguous, in the order of its steps."""
 
     static_obs: Any  # [L, ...] of each level
-    dynamic_obs: Any  # [N, ...], what the policy saw before it acted
+    dynamic_obs: Any  # [N, ...], seen by the policy before it acted
     level: np.ndarray  # [N] int32, index into static_obs
-    actions: np.ndarray  # [N, A], or [N] in a flat space: what was executed
+    actions: np.ndarray  # [N, A], or [N] in a flat space: executed actions
     rewards: np.ndarray  # [N] float32
     done: np.ndarray  # [N] bool, the episode ended with this step
     solved: np.ndarray  # [N] bool, it ended so because it was solved
@@ -36,7 +36,7 @@ class Transitions(NamedTuple):
     first: np.ndarray  # [N] bool, first step of an episode
     log_prob: np.ndarray  # [N] float32, of the action under the policy, over the dimensions that the level obeys
     chosen_by: np.ndarray  # [N] int8, see `ChosenBy`
-    episode: np.ndarray  # [N] int64, number of the row in the whole data set with which the episode begins
+    episode: np.ndarray  # [N] int64, first row of the episode, counted in the whole data set
     step: np.ndarray  # [N] int32, in its episode
     policy_version: np.ndarray  # [N] int32, updates that the policy had learned from
 
@@ -44,7 +44,7 @@ class Transitions(NamedTuple):
 ROW_FIELDS = tuple(name for name in Transitions._fields if name not in ("static_obs", "dynamic_obs"))
 ACTION, REWARD = "action", "reward"
 COLUMN_NAMES = {"actions": ACTION, "rewards": REWARD}  # of the fields whose columns have other names
-ROW_TYPES = (  # of the columns but those of actions and observations
+ROW_TYPES = (  # of all columns except actions and observations
     dict.fromkeys(("done", "solved", "timed_out", "first"), np.bool_)
     | dict.fromkeys((REWARD, "log_prob"), np.float32)
     | dict.fromkeys(("level", "step", "policy_version"), np.int32)
@@ -84,7 +84,7 @@ def from_parquet(
         num_rows: that the file must have; `None` if any number is valid.
 
     Raises:
-        ValueError, pa.ArrowException: the content is damaged, or its columns are not those of a shard.
+        ValueError, pa.ArrowException: the content is damaged, or has other columns than a shard.
     """
     file = pq.ParquetFile(pa.BufferReader(content))
     if num_rows is not None and file.metadata.num_rows != num_rows:

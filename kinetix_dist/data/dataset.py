@@ -43,7 +43,7 @@ from kinetix_dist.level.level import Level
 
 
 class Dataset:
-    """A folder of shards. What is damaged raises `DatasetError`, one line, or is skipped and counted on request."""
+    """A folder of shards. Damaged parts raise `DatasetError`, one line, or are skipped and counted on request."""
 
     def __init__(self, folder: Path, *, skip_damaged: bool = False) -> None:
         self.folder = folder
@@ -99,11 +99,11 @@ class Dataset:
         return jax.ShapeDtypeStruct(space.shape(1), space.stored_dtype)
 
     def check_env(self, config: EnvConfig) -> None:
-        """Raises DatasetError, naming it, where size, observation, actions or physics are others than these."""
+        """Raises DatasetError, which names the setting, if size, observation, actions or physics differ."""
         check_env(self.manifest, config, self.folder)
 
     def check_levels(self, name: str, levels: Level) -> None:
-        """Raises DatasetError where these levels of the set `name` are not those that were played."""
+        """Raises DatasetError if the data set is of other levels than these of the set `name`."""
         theirs = self.manifest["levels"]
         number = int(np.shape(levels.angle)[0])
         text = f"data set {self.folder} is of level set {quoted(theirs['set'])} ({theirs['number']} levels)"
@@ -162,7 +162,7 @@ class Dataset:
             )
 
     def _parts(self, numbers: Iterable[int]) -> list[Transitions]:
-        """Rows of each of these shards but for those that are skipped, read by several threads."""
+        """Rows of each of these shards except skipped shards, read by several threads."""
         chosen = [self.shards[number] for number in numbers]
         static_obs, shapes = self.levels.static_obs, self._shapes  # without levels no shard can be read
         with ThreadPoolExecutor() as pool:

@@ -1,6 +1,6 @@
 """Lazy reader of the offline data of the public Kinetix package: trajectories of states, read with tensorstore.
 
-The layout is the one that `kinetix.data` of kinetix-env 3.0.2 loads (`ZarrTrajDataSource`): a zarr group of format 2.
+`kinetix.data` of kinetix-env 3.0.2 loads the same layout (`ZarrTrajDataSource`): a zarr group of format 2.
 Each array in it is a shard of records [trajectories, steps], and each field of a record has an axis of length 1 before
 its own axes:
 

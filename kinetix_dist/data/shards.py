@@ -65,7 +65,7 @@ def write_shard(folder: Path, number: int, content: bytes, counts: dict[str, int
 
 
 def read_index(folder: Path, max_rows: int) -> Index:
-    """Return the shards of the index, and what is wrong with it.
+    """Return the shards and the faults of the index.
 
     Of several lines of one shard the last one counts.
 
@@ -90,7 +90,7 @@ def read_index(folder: Path, max_rows: int) -> Index:
     if (shard := _parsed(torn, max_rows)) is not None:  # whole but for its line end
         shards[shard.shard] = shard
     gaps = list(_gaps(sorted(shards)))
-    if sum(len(gap) for gap in gaps) > len(faults):  # else the lines above are those of the missing shards
+    if sum(len(gap) for gap in gaps) > len(faults):  # else the faulty lines belong to the missing shards
         faults += [f"{path}: there is no line of {_in_words(gap)}" for gap in gaps]
     return Index([shards[number] for number in sorted(shards)], faults)
 
@@ -149,7 +149,7 @@ def locked_index(folder: Path, max_rows: int) -> Iterator[None]:
 
 
 def read_content(folder: Path, shard: Shard) -> bytes:
-    """Bytes of a shard. Raises DatasetError, naming it, where it is missing or damaged."""
+    """Bytes of a shard. Raises DatasetError, which names it, if it is missing or damaged."""
     path = folder / shard.file
     try:
         content = path.read_bytes()

@@ -144,6 +144,8 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["--levels", "hopscotch", "--policy", "random"], "unknown level set 'hopscotch'"),
         (["--levels", LEVELS, "--policy", "random", "--size", "xl"], "unknown size 'xl'"),
         (["--levels", LEVELS, "--policy", "random", "--attempts", "0"], "--attempts is 0"),
+        (["--levels", LEVELS, "--policy", "random", "--attempts", str(10**12)], "; give 1,000,000 or less"),
+        (["--levels", LEVELS, "--policy", "random", "--max-worlds", str(10**30)], "; give 16,777,216 or less"),
         (["--levels", LEVELS, "--policy", "random", "--json", "no/such/file.json"], "cannot write no/such/file.json"),
         (["--levels", LEVELS, "--policy", "random", "--record", "no/such/file.mcap"], "cannot write no/such/file.mcap"),
         (["--levels", LEVELS, "--policy", "random", "--record", "README.md"], "README.md exists and recordings are"),

@@ -81,7 +81,7 @@ def narrowed(name: str) -> Callable[[pa.Table], pa.Table]:
 
 
 def of_the_policy(change: Callable[[pa.Table], pa.Table]) -> Callable[[pa.Table], pa.Table]:
-    """Says also that the policy chose the action of row 17."""
+    """Marks the action of row 17 as a choice of the policy, too."""
     return lambda table: with_value("chosen_by", int(ChosenBy.POLICY))(change(table))
 
 
