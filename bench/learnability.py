@@ -137,7 +137,7 @@ def by_their_own_policy(run: Path, attempts: int) -> list[dict[str, Any]]:
 
 def config_of(trained: Trained) -> TrainConfig:
     """Return all settings of the run that a checkpoint belongs to."""
-    return from_dict_as_recipe(trained.checkpoint.description["config"])
+    return from_dict_as_recipe(trained.checkpoint.config)
 
 
 def levels_of(config: TrainConfig, arrays: Mapping[str, np.ndarray], num_levels: int) -> Level:

@@ -63,7 +63,7 @@ NO_STEP = 1e-30  # a learning rate that changes no parameter
 
 def config_of(trained: Trained, arguments: argparse.Namespace) -> TrainConfig:
     """The recipe with the network of the checkpoint, on levels that need no curator."""
-    stored = trained.checkpoint.description["config"]
+    stored = trained.checkpoint.config
     base = recipe(arguments.recipe) if arguments.recipe else from_dict_as_recipe(stored)
     rollout, ppo = base.rollout, base.ppo
     if arguments.envs:

@@ -41,6 +41,14 @@ POSITIVE = {  # fields that cannot be 0, as others can
 }
 
 
+COUNTS = {  # fields that are whole numbers -> the least and the most that they may be
+    "substeps": (1, 1000),
+    "impact_passes": (0, 1000),
+    "bounce_rounds": (1, 1000),
+    "solver_batch_size": (1, 1000),
+}
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings of the solver. Numbers are run-time parameters of a compiled engine; `solver`, `line_search`,
@@ -109,14 +117,9 @@ class Settings:
         for name, what in POSITIVE.items():
             if getattr(self, name) == 0:
                 raise ValueError(f"Settings.{name} is {getattr(self, name)}; {what}")
-        if self.substeps < 1:
-            raise ValueError(f"Settings.substeps is {self.substeps}; at least 1 is needed")
-        if self.impact_passes < 0:
-            raise ValueError(f"Settings.impact_passes is {self.impact_passes}; it must be 0 or more")
-        if self.bounce_rounds < 1:
-            raise ValueError(f"Settings.bounce_rounds is {self.bounce_rounds}; at least 1 is needed")
-        if self.solver_batch_size < 1:
-            raise ValueError(f"Settings.solver_batch_size is {self.solver_batch_size}; at least 1 is needed")
+        for name, (least, most) in COUNTS.items():
+            if not least <= (count := getattr(self, name)) <= most:
+                raise ValueError(f"Settings.{name} is {count}; it must be from {least} to {most}")
         if self.solver_batch_size > 1 and self.solver == "soft_step":
             raise ValueError(
                 f"Settings.solver_batch_size is {self.solver_batch_size}, but soft_step solves contacts one after "

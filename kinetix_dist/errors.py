@@ -12,10 +12,18 @@ from collections.abc import Generator
 from contextlib import contextmanager
 
 MAX_LINE = 2000  # characters of a message
+MAX_QUOTED = 80  # characters of a value or a name in a message
 
 
 class UserError(Exception):
     """Mistake of a user and its remedy, in one line."""
+
+
+class OneLineError(Exception):
+    """An error about a file of somebody else: its text is one printable line, whatever the file holds."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))
 
 
 def one_line(error: BaseException | str) -> str:
@@ -32,6 +40,11 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+
+
+def quoted(value: object) -> str:
+    """Return the repr of a value that somebody else wrote, cut to MAX_QUOTED characters."""
+    return shortened(repr(value), MAX_QUOTED)
 
 
 def shortened(text: str, limit: int) -> str:

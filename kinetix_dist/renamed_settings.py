@@ -15,6 +15,9 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from kinetix_dist.errors import quoted
+from kinetix_dist.setting import ConfigError
+
 # Path of a field or section before -> path now.
 RENAMED: dict[str, str] = {
     "curriculum.generator.locomotion_share": "curriculum.generator.mechanism_share",
@@ -105,6 +108,8 @@ def translated(data: Mapping[str, Any], *, for_playing: bool = False) -> dict[st
         place = nested
         for section in sections:
             place = place.setdefault(section, {})
+            if not isinstance(place, dict):
+                raise ConfigError(f"config field {quoted(path)} is within {section!r}, which is no section")
         place[field] = value
     return nested
 
@@ -157,10 +162,12 @@ def _translated_leaves(data: Mapping[str, Any], before: str, now: str, for_playi
         old, path = _join(before, name), RENAMED.get(_join(before, name), _join(now, name))
         if removed := REMOVED.get(old):
             if not for_playing and removed.off is not None and value not in removed.off:
-                raise RenamedSettingError(f"{old} is {value!r}, but this setting is gone: {removed.why}; {_NEW_RUN}")
+                raise RenamedSettingError(
+                    f"{old} is {quoted(value)}, but this setting is gone: {removed.why}; {_NEW_RUN}"
+                )
         elif isinstance(value, Mapping) and value:
             yield from _translated_leaves(value, old, path, for_playing)
-        elif path == "phases":
+        elif path == "phases" and isinstance(value, list | tuple):
             yield path, [_translated_phase(phase, for_playing) for phase in value]
         elif isinstance(value, list | tuple):
             yield path, [_translated_value(path, entry, for_playing) for entry in value]
@@ -170,8 +177,10 @@ def _translated_leaves(data: Mapping[str, Any], before: str, now: str, for_playi
             yield path, _translated_value(path, value, for_playing)
 
 
-def _translated_phase(phase: Mapping[str, Any], for_playing: bool) -> dict[str, Any]:
-    """A phase whose options have today's names."""
+def _translated_phase(phase: Any, for_playing: bool) -> Any:
+    """Return a phase whose options have today's names; one of another form as it is, which `build` refuses."""
+    if not isinstance(phase, Mapping) or not isinstance(phase.get("options", {}), Mapping):
+        return phase
     named = {PHASE_NAMES[name]: value for name, value in phase.items() if name in PHASE_NAMES and value is not None}
     options = {new_path(name): value for name, value in {**named, **phase.get("options", {})}.items()}
     others = {name: value for name, value in phase.items() if name not in (*PHASE_NAMES, "options")}
@@ -182,7 +191,7 @@ def _translated_value(path: str, value: Any, for_playing: bool) -> Any:
     if _is_key((path, value), REMOVED_VALUES):
         instead, why = REMOVED_VALUES[path, value]
         if not for_playing:
-            raise RenamedSettingError(f"{path} is {value!r}, which is gone: {why}; {_NEW_RUN}")
+            raise RenamedSettingError(f"{path} is {quoted(value)}, which is gone: {why}; {_NEW_RUN}")
         return instead
     return RENAMED_VALUES[path, value] if _is_key((path, value), RENAMED_VALUES) else value
 

@@ -14,11 +14,16 @@ import numbers
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
+from kinetix_dist.errors import OneLineError, quoted
+
 T = TypeVar("T")
 _KEY = "limits"
+# Limits of networks. A stranger's config may name any number, and tracing 256 layers takes 12 s already.
+MAX_WIDTH = 65_536
+MAX_LAYERS = 256
 
 
-class ConfigError(ValueError):
+class ConfigError(OneLineError, ValueError):
     """A configuration that cannot run, with the field and the value."""
 
 
@@ -75,7 +80,7 @@ def check_settings(section: Any) -> None:
         check_finite(value, name)
         limits: Limits | None = field.metadata.get(_KEY)
         if limits is not None and not limits.allow(value):
-            raise ConfigError(f"{name} is {value!r}; {limits}")
+            raise ConfigError(f"{name} is {quoted(value)}; {limits}")
 
 
 def check_finite(section: Any, field: str = "") -> None:
@@ -109,6 +114,6 @@ def _check_type(name: str, value: Any, kind: str) -> None:
             raise ConfigError(str(error)) from None
     if kind == "float":
         if not isinstance(value, numbers.Real) or isinstance(value, bool):
-            raise ConfigError(f"{name} is {value!r}; it must be a number")
+            raise ConfigError(f"{name} is {quoted(value)}; it must be a number")
     if kind == "bool" and not isinstance(value, bool):
-        raise ConfigError(f"{name} is {value!r}; it must be True or False")
+        raise ConfigError(f"{name} is {quoted(value)}; it must be True or False")

@@ -83,7 +83,7 @@ def newest_checkpoint_of(run: Path) -> tuple[Trained, list[Rejected]]:
 def _trained(checkpoint: Checkpoint) -> Trained:
     if CHUNK_POLICY in checkpoint.description:
         raise UserError(f"{checkpoint.path} is a policy of action chunks; `kinetix-dist bench delay --policy` plays it")
-    if "config" not in checkpoint.description:
-        raise UserError(f"checkpoint {checkpoint.path} has no config of its training")
+    with user_errors(CheckpointError):
+        stored = checkpoint.config
     with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path}: "):
-        return Trained(checkpoint=checkpoint, config=from_dict_for_playing(checkpoint.description["config"]))
+        return Trained(checkpoint=checkpoint, config=from_dict_for_playing(stored))

@@ -60,7 +60,7 @@ def measure(options: Options, results: Results) -> None:
     """Two records a kind of body: "actions" is "policy" or "random". Raises UserError for a checkpoint that is none."""
     with user_errors(CheckpointError, ValueError, OSError):
         checkpoint = load_checkpoint(options.checkpoint)
-        config = from_dict_for_playing(checkpoint.description["config"])
+        config = from_dict_for_playing(checkpoint.config)
     for morphology in options.morphologies:
         size = size_for(morphology)
         steps = STEPS_TO_GET_THERE + STEPS_SEEN

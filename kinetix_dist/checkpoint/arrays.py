@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from kinetix_dist import prng
+from kinetix_dist.errors import MAX_QUOTED, OneLineError, quoted, shortened
 from kinetix_dist.text_files import loads_json
 
 
-class ArrayMismatchError(ValueError):
+class ArrayMismatchError(OneLineError, ValueError):
     """The stored arrays are not those of the structure they should be restored into."""
 
 
@@ -98,7 +99,7 @@ MAX_HEADER_BYTES = 100_000_000  # as in the reference implementation
 _PICKLE_STARTS = (b"BZh", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05", b"\x1f\x8b", b"PK")  # bare or compressed
 
 
-class SafetensorsError(ValueError):
+class SafetensorsError(OneLineError, ValueError):
     """A file that cannot be read, and why."""
 
 
@@ -124,13 +125,21 @@ def read_safetensors(path: Path) -> dict[str, np.ndarray]:
 
 
 def _array(path: Path, name: str, entry: Any, data: memoryview) -> np.ndarray:
+    shown = shortened(name, MAX_QUOTED)
     try:
-        dtype, shape, (begin, end) = entry["dtype"], [int(size) for size in entry["shape"]], entry["data_offsets"]
-        is_whole = 0 <= begin <= end <= len(data) and all(size >= 0 for size in shape)
+        dtype, shape, (begin, end) = entry["dtype"], list(entry["shape"]), entry["data_offsets"]
+        if any(type(number) is not int for number in (*shape, begin, end)):
+            raise TypeError("sizes and offsets must be whole numbers")
     except (KeyError, TypeError, ValueError) as error:
-        raise SafetensorsError(f"{path}: the entry of {name} cannot be read") from error
+        raise SafetensorsError(f"{path}: the entry of {shown} cannot be read") from error
     if dtype != "F32":
-        raise SafetensorsError(f"{path}: {name} is {dtype}; only F32 is read")
+        raise SafetensorsError(f"{path}: {shown} is {shortened(str(dtype), MAX_QUOTED)}; only F32 is read")
+    is_whole = 0 <= begin <= end <= len(data) and all(size >= 0 for size in shape)
     if not is_whole or end - begin != 4 * math.prod(shape):
-        raise SafetensorsError(f"{path} is cut or damaged: {name} {shape} does not lie in bytes {begin} to {end}")
-    return np.frombuffer(data[begin:end], "<f4").reshape(shape).copy()
+        raise SafetensorsError(
+            f"{path} is cut or damaged: {shown} {quoted(shape)} does not lie in bytes {begin} to {end}"
+        )
+    try:
+        return np.frombuffer(data[begin:end], "<f4").reshape(shape).copy()
+    except ValueError as error:
+        raise SafetensorsError(f"{path}: {shown} has a shape that no array has, {quoted(shape)}") from error

@@ -31,7 +31,9 @@ import numpy as np
 
 from kinetix_dist.atomic_directories import flush_directory, flush_tree, new_directory
 from kinetix_dist.checkpoint.arrays import name_not_finite
+from kinetix_dist.checkpoint.description import description_fault
 from kinetix_dist.checkpoint.manifest import MANIFEST_NAME, manifest_fault, write_manifest
+from kinetix_dist.errors import MAX_QUOTED, OneLineError, quoted, shortened
 from kinetix_dist.installation import data_directory
 from kinetix_dist.json_text import json_text
 from kinetix_dist.near_names import did_you_mean
@@ -47,7 +49,7 @@ _OVERHEAD_BYTES = 1 << 18  # of Orbax's database, description and manifest: 100 
 _PATTERN_CHARACTERS = frozenset("*?[]\\")
 
 
-class CheckpointError(Exception):
+class CheckpointError(OneLineError):
     """A checkpoint that cannot be used, and why."""
 
 
@@ -57,7 +59,14 @@ class Checkpoint:
 
     path: Path
     arrays: dict[str, np.ndarray]  # path through the saved pytree -> array
-    description: dict[str, Any]
+    description: dict[str, Any]  # of the form that description.py checks
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Return the configuration that it was trained with, as it was stored. Raise CheckpointError for none."""
+        if "config" not in self.description:
+            raise CheckpointError(f"checkpoint {self.path} has no config of its training; give another checkpoint")
+        return self.description["config"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -136,7 +145,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise CheckpointError(f"checkpoint {path} {fault}")
     description, arrays = read_json(path / DESCRIPTION_NAME), _load_arrays(path / ARRAYS_NAME)
     if name := name_not_finite(arrays):
-        raise CheckpointError(f"checkpoint {path}: {name} is not finite, so that no policy plays by it; give another")
+        shown = shortened(name, MAX_QUOTED)
+        raise CheckpointError(f"checkpoint {path}: {shown} is not finite, so that no policy plays by it; give another")
     return Checkpoint(path=path, arrays=arrays, description=description)
 
 
@@ -202,10 +212,11 @@ def _fault(path: Path) -> str | None:
         description = read_json(path / DESCRIPTION_NAME)
     except (OSError, ValueError, RecursionError) as error:
         return f"cannot be read ({error})"
-    if not isinstance(description, dict) or type(description.get("num_updates")) is not int:
-        return f"cannot be read: its {DESCRIPTION_NAME} has no num_updates"
-    found = description.get("format")
-    return None if found == FORMAT else f"has format {found!r}; this version reads format {FORMAT}"
+    if isinstance(description, dict) and (stored := description.get("format")) != FORMAT:
+        return f"has format {quoted(stored)}; this version reads format {FORMAT}"
+    if fault := description_fault(description):
+        return f"cannot be read: {DESCRIPTION_NAME}: {fault}; give another checkpoint"
+    return None
 
 
 def _check_space(directory: Path, arrays: Mapping[str, np.ndarray]) -> None:

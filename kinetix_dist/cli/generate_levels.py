@@ -100,7 +100,7 @@ def _source(args: Generate) -> tuple[LevelGenerator, str, str]:
         trained, _ = newest_checkpoint_of(args.teacher)
         size, checkpoint = trained.config.env.size, trained.checkpoint
         with user_errors(ValueError, prefix=f"checkpoint {checkpoint.path}: "):
-            curriculum = curriculum_from_dict(checkpoint.description["config"])
+            curriculum = curriculum_from_dict(checkpoint.config)
         return teacher_levels(checkpoint, curriculum, capacity_of_size(size)), size, "taught"
     if args.body is not None:
         from kinetix_dist.level.goal_following import GoalFollowingLevels, size_for

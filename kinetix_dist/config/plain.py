@@ -9,6 +9,7 @@ import typing
 from collections.abc import Mapping
 from typing import Any
 
+from kinetix_dist.errors import MAX_QUOTED, quoted, shortened
 from kinetix_dist.json_text import json_text
 from kinetix_dist.setting import ConfigError
 
@@ -23,12 +24,13 @@ def build(kind: Any, data: Any, where: str = "") -> Any:
     field that is unknown, missing or of another type; `where` is its name."""
     if dataclasses.is_dataclass(kind):
         if not isinstance(data, Mapping):
-            raise ConfigError(f"config field {where or 'top level'} is {data!r}; an object is needed")
+            raise ConfigError(f"config field {where or 'top level'} is {quoted(data)}; an object is needed")
         hints = typing.get_type_hints(kind)
         names = {field.name for field in dataclasses.fields(kind)}
         if unknown := sorted(set(data) - names):
             raise ConfigError(
-                f"config field {_join(where, unknown[0])} is unknown; fields are {', '.join(sorted(names))}"
+                f"config field {shortened(_join(where, unknown[0]), MAX_QUOTED)} is unknown; fields are "
+                f"{', '.join(sorted(names))}"
             )
         needed = [
             field.name
@@ -37,21 +39,29 @@ def build(kind: Any, data: Any, where: str = "") -> Any:
         ]
         if missing := [name for name in needed if name not in data]:
             raise ConfigError(f"config field {_join(where, missing[0])} is missing")
-        return kind(**{name: build(hints[name], value, _join(where, name)) for name, value in data.items()})
+        fields = {name: build(hints[name], value, _join(where, name)) for name, value in data.items()}
+        try:
+            return kind(**fields)
+        except ConfigError:
+            raise
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is tuple:
         if not isinstance(data, list | tuple):
-            raise ConfigError(f"config field {where} is {data!r}; a list is needed")
+            raise ConfigError(f"config field {where} is {quoted(data)}; a list is needed")
         inner = arguments[0] if len(arguments) == 2 and arguments[1] is Ellipsis else Any
         return tuple(build(inner, value, where) for value in data)
     if origin in (typing.Union, types.UnionType):
         if data is None:
             return None
         return build(next(option for option in arguments if option is not types.NoneType), data, where)
+    if origin is dict and not isinstance(data, Mapping):
+        raise ConfigError(f"config field {where} is {quoted(data)}; an object is needed")
     if kind is float and isinstance(data, int) and not isinstance(data, bool):
         return float(data)
     if kind in (int, float, str, bool) and type(data) is not kind:
-        raise ConfigError(f"config field {where} is {data!r}; {kind.__name__} is needed")
+        raise ConfigError(f"config field {where} is {quoted(data)}; {kind.__name__} is needed")
     return data
 
 

@@ -7,7 +7,7 @@ import itertools
 
 from kinetix_dist.level.generator_config import GeneratorConfig
 from kinetix_dist.level.size_mixture import check_weights
-from kinetix_dist.setting import ConfigError, check_settings, setting
+from kinetix_dist.setting import MAX_LAYERS, MAX_WIDTH, ConfigError, check_settings, setting
 
 # Sections of `CurriculumConfig` that only those curricula read that name them in `Curriculum.sections`.
 OWN_SECTIONS = ("plr", "accel", "paired", "slices")
@@ -55,8 +55,8 @@ class PairedConfig:
     """Learning of the teacher of PAIRED (Dennis et al. 2020); other settings are those of `ppo`."""
 
     antagonist_return: str = setting("mean", choices=ANTAGONIST_RETURNS)  # or "max": of its returns on a level
-    hidden_size: int = setting(128, minimum=1)  # of the teacher's network
-    hidden_layers: int = setting(2, minimum=1)  # of its actor and of its critic
+    hidden_size: int = setting(128, minimum=1, maximum=MAX_WIDTH)  # of the teacher's network
+    hidden_layers: int = setting(2, minimum=1, maximum=MAX_LAYERS)  # of its actor and of its critic
     learning_rate: float = setting(3e-4, above=0)
     epochs: int = setting(8, minimum=1)  # each is one gradient step, from all levels of an update
     clip: float = setting(0.2, above=0)

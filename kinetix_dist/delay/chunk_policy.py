@@ -41,7 +41,7 @@ from kinetix_dist.env.environment import Environment
 from kinetix_dist.level.walls import empty_level
 from kinetix_dist.models.flow_network import FlowNetwork
 from kinetix_dist.models.policy import PolicyConfig, make_encoder
-from kinetix_dist.setting import ConfigError, check_settings, setting
+from kinetix_dist.setting import MAX_LAYERS, MAX_WIDTH, ConfigError, check_settings, setting
 from kinetix_dist.trained_policy import CHUNK_POLICY
 
 PARAMS_PREFIX = "flow/params"  # of the arrays of a checkpoint
@@ -51,13 +51,15 @@ PARAMS_PREFIX = "flow/params"  # of the arrays of a checkpoint
 class FlowConfig:
     """Settings of a chunk policy; widths and steps are those of the public benchmark (models/flow_network.py)."""
 
-    horizon: int = setting(16, minimum=1)  # actions of a chunk
-    integration_steps: int = setting(5, minimum=1)  # K, Euler steps from noise to a chunk
-    history: int = setting(0, minimum=0)  # steps before the present one whose observation and action it sees
+    horizon: int = setting(16, minimum=1, maximum=1000)  # actions of a chunk
+    integration_steps: int = setting(5, minimum=1, maximum=1000)  # K, Euler steps from noise to a chunk
+    history: int = setting(
+        0, minimum=0, maximum=1000
+    )  # steps before the present one whose observation and action it sees
     max_delay: int = setting(0, minimum=0)  # training-time RTC: longest delay that training simulates; 0: none
-    width: int = setting(256, minimum=2)  # channels of an action's token
-    token_width: int = setting(64, minimum=1)
-    num_layers: int = setting(4, minimum=1)
+    width: int = setting(256, minimum=2, maximum=MAX_WIDTH)  # channels of an action's token
+    token_width: int = setting(64, minimum=1, maximum=MAX_WIDTH)
+    num_layers: int = setting(4, minimum=1, maximum=MAX_LAYERS)
     # Network that reads observations; its actor and critic are left out.
     encoder: PolicyConfig = dataclasses.field(default_factory=PolicyConfig)
 
@@ -201,12 +203,16 @@ def stored_checkpoint(path: Path) -> Checkpoint | None:
 
 
 def chunk_policy_of(checkpoint: Checkpoint) -> TrainedChunks:
-    """The policy that a checkpoint of one holds."""
+    """Return the policy that a checkpoint of one holds. Raise CheckpointError for settings that cannot be."""
     content = checkpoint.description[CHUNK_POLICY]
+    try:
+        config, env = build(FlowConfig, content["flow"]), build(EnvConfig, content["env"])
+    except ConfigError as error:
+        raise CheckpointError(f"checkpoint {checkpoint.path}: {error}") from error
     return TrainedChunks(
         path=checkpoint.path,
-        config=build(FlowConfig, content["flow"]),
-        env=build(EnvConfig, content["env"]),
+        config=config,
+        env=env,
         num_updates=checkpoint.description["num_updates"],
         arrays=select_arrays(checkpoint.arrays, PARAMS_PREFIX),
     )

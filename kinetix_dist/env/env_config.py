@@ -23,8 +23,8 @@ class EnvConfig:
 
     size: str = setting("s", choices=SIZES)  # "s", "m" or "l", see `level.SIZES`
     physics: Settings = preset("standard")  # how a physics step is solved, all numbers of it
-    frame_skip: int = setting(2, minimum=1)  # physics steps of 1/60 s in one environment step
-    max_steps: int = setting(256, minimum=1)  # environment steps after which an episode times out
+    frame_skip: int = setting(2, minimum=1, maximum=1000)  # physics steps of 1/60 s in one environment step
+    max_steps: int = setting(256, minimum=1, maximum=1_000_000)  # environment steps after which an episode times out
     reward: str = setting("dense", choices=REWARDS)  # or "sparse" or "shaped"
     dense_reward_scale: float = setting(0.1, minimum=0, maximum=FLOAT32_MAX)  # reward per metre of green towards blue
     shaping_discount: float = setting(0.995, above=0, maximum=1)  # gamma of the reward "shaped", that of the learner

@@ -87,7 +87,7 @@ def start_from(trained: Trained) -> Start:
             "env_steps": description.get("env_steps"),
             "config_hash": description.get("config_hash"),
             # The checkpoint that this policy was trained from in its turn.
-            "start_from": description["config"].get("run", {}).get("start_from", ""),
+            "start_from": checkpoint.config.get("run", {}).get("start_from", ""),
         },
     )
 

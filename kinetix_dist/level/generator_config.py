@@ -17,6 +17,7 @@ PUBLISHED_DETAILS = (
     "joined_to_walls",  # where every polygon holds two joints, any is joined, walls too
     "limits_from_zero",  # limits of a hinge count from equal angles of its shapes, not from those at the start
 )
+MAX_PROPOSALS = 1_000
 # Families of level/mechanisms/ that are drawn by default
 LOCOMOTION_FAMILIES = ("car", "unicycle", "walker", "arm")
 # Families of the held-out sets tasks_s to tasks_l, in the order of their draws: results are published on these sets,
@@ -54,8 +55,12 @@ def _chance(default: float) -> float:
 class GeneratorConfig:
     """Parameters of random levels. Chances are 0..1, lengths m, angles rad, speeds and powers in engine units."""
 
-    num_proposals: int = setting(8, minimum=1)  # drawn for each addition; the one with the fewest overlaps is added
-    num_proposals_s: int = setting(8, minimum=1)  # the same with at most 3 shapes besides the walls, as in S
+    num_proposals: int = setting(
+        8, minimum=1, maximum=MAX_PROPOSALS
+    )  # drawn for each addition; the one with the fewest overlaps is added
+    num_proposals_s: int = setting(
+        8, minimum=1, maximum=MAX_PROPOSALS
+    )  # the same with at most 3 shapes besides the walls, as in S
     published_details: tuple[str, ...] = ()  # of PUBLISHED_DETAILS
     # What is added after green, blue and the forced control
     joined_shape_chance: float = _chance(0.35)
@@ -64,12 +69,12 @@ class GeneratorConfig:
     floor_blue_chance: float = _chance(0.02)
     floor_red_chance: float = _chance(0.08)
     # Shapes
-    max_shape_size: float = 1.0  # m, diameter of the circle a box fits into (before lengthening)
-    min_half_extent: float = 0.05  # m
-    min_radius: float = 0.1  # m
-    circle_size_factor: float = 0.8  # circles are at most this share of max_shape_size across
+    max_shape_size: float = setting(1.0, above=0)  # m, diameter of the circle a box fits into (before lengthening)
+    min_half_extent: float = setting(0.05, above=0)  # m
+    min_radius: float = setting(0.1, above=0)  # m
+    circle_size_factor: float = setting(0.8, above=0)  # circles are at most this share of max_shape_size across
     large_rectangle_chance: float = _chance(0.3)  # one side is lengthened
-    large_rectangle_scale: float = 2.0
+    large_rectangle_scale: float = setting(2.0, above=0)
     triangle_chance: float = _chance(0.0)
     opposite_side_chance: float = setting(
         0.5, minimum=0, maximum=1
@@ -88,15 +93,15 @@ class GeneratorConfig:
     fixed_joint_chance: float = _chance(0.1)
     min_revolute_joints: int = setting(0, minimum=0)  # that a level has before it gets a fixed joint
     limits_chance: float = _chance(0.4)  # between polygons
-    limit_max: float = math.pi  # rad, of either limit
+    limit_max: float = setting(math.pi, above=0)  # rad, of either limit
     motor_on_chance: float = _chance(0.8)
     forced_motor_on_chance: float = setting(
         1.0, minimum=0, maximum=1
     )  # of the motor that a level gets first: below 1 some have nothing to control
     motor_speed_min: float = 0.4
-    motor_speed_max: float = 3.0
+    motor_speed_max: float = setting(3.0, above=0)
     motor_power_min: float = 1.0
-    motor_power_max: float = 3.0
+    motor_power_max: float = setting(3.0, above=0)
     wheel_power_max: float = 1.0  # where one of the two is a circle
     # Thrusters
     thruster_aligned_chance: float = _chance(0.8)  # pushes through the centre of mass

@@ -7,6 +7,7 @@ levels each size has n * weight / sum of weights, rounded down, and the sizes wi
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Sequence
 
 import jax
@@ -14,6 +15,7 @@ import jax.numpy as jnp
 
 from jax2d.scene import Array, Capacity
 from kinetix_dist import prng
+from kinetix_dist.errors import quoted
 from kinetix_dist.level.fit import pad_levels
 from kinetix_dist.level.generator import generate_levels
 from kinetix_dist.level.generator_config import GeneratorConfig
@@ -25,9 +27,14 @@ Counts = tuple[tuple[str, int], ...]  # levels of each size
 
 def check_weights(name: str, weights: Weights) -> None:
     """Raises ValueError, one line, for invalid weights of a mixture. name: that of the setting."""
-    for size, weight in weights:
+    for pair in weights:
+        if not isinstance(pair, list | tuple) or len(pair) != 2 or not isinstance(pair[0], str):
+            raise ValueError(f"{name} has {quoted(pair)}; give pairs of a size and its weight")
+        size, weight = pair
         if size not in SIZES:
-            raise ValueError(f"{name} has {size!r}; sizes are {', '.join(SIZES)}")
+            raise ValueError(f"{name} has {quoted(size)}; sizes are {', '.join(SIZES)}")
+        if not isinstance(weight, numbers.Real) or isinstance(weight, bool):
+            raise ValueError(f"{name} gives {size!r} the weight {quoted(weight)}; it must be a number")
         if not (math.isfinite(weight) and weight >= 0.0):
             raise ValueError(f"{name} gives {size!r} the weight {weight}; weights must be 0 or more")
     sizes = [size for size, _ in weights]

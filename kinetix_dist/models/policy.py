@@ -25,7 +25,7 @@ from kinetix_dist.models.flat_mlp import FlatMlp
 from kinetix_dist.models.kernels.support import KERNELS
 from kinetix_dist.models.pixel_cnn import SAMPLE_BYTES, PixelCnn
 from kinetix_dist.registry import Registry
-from kinetix_dist.setting import ConfigError, check_settings, setting
+from kinetix_dist.setting import MAX_LAYERS, MAX_WIDTH, ConfigError, check_settings, setting
 
 RECURRENT = ("none", "gru")
 READ_OUTS = ("pooled", "colour")
@@ -53,16 +53,16 @@ class PolicyConfig:
     """The defaults are the paper's transformer: its 786,417 parameters with six action heads, and 384 for sliders."""
 
     network: str = setting("transformer", choices=NETWORKS)  # of entities; "flat" of a vector; "cnn" of a picture
-    encoder_size: int = setting(128, minimum=1)  # width of tokens
-    attention_features: int = setting(16, minimum=1)  # of all heads together
-    num_heads: int = setting(8, minimum=1)  # a quarter of them for each attention mask
-    num_layers: int = setting(2, minimum=1)
-    hidden_size: int = setting(128, minimum=1)  # of actor and critic
-    hidden_layers: int = setting(5, minimum=0)  # before the output layer
-    flat_size: int = setting(512, minimum=1)  # encoder of the flat network
+    encoder_size: int = setting(128, minimum=1, maximum=MAX_WIDTH)  # width of tokens
+    attention_features: int = setting(16, minimum=1, maximum=MAX_WIDTH)  # of all heads together
+    num_heads: int = setting(8, minimum=1, maximum=MAX_WIDTH)  # a quarter of them for each attention mask
+    num_layers: int = setting(2, minimum=1, maximum=MAX_LAYERS)
+    hidden_size: int = setting(128, minimum=1, maximum=MAX_WIDTH)  # of actor and critic
+    hidden_layers: int = setting(5, minimum=0, maximum=MAX_LAYERS)  # before the output layer
+    flat_size: int = setting(512, minimum=1, maximum=MAX_WIDTH)  # encoder of the flat network
     read_out: str = setting("pooled", choices=READ_OUTS)  # or "colour": heads read tokens of their colour; transformers
     recurrent: str = setting("none", choices=RECURRENT)  # or "gru": a memory between the embedding and actor and critic
-    memory_size: int = setting(256, minimum=1)  # of it
+    memory_size: int = setting(256, minimum=1, maximum=MAX_WIDTH)  # of it
     dtype: str = setting("float32", choices=DTYPES)  # of activations, or "bfloat16"; parameters are float32
     kernels: str = setting("xla", choices=KERNELS)  # of layers: or "fused" (Hopper GPUs), or "auto": where these run
     max_qk_norm: float = setting(0.0, minimum=0)  # of weights of a head's queries and keys; 0: no limit; transformers

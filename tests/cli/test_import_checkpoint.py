@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kinetix_dist.checkpoint import CheckpointError, load_checkpoint, select_arrays
-from kinetix_dist.checkpoint.arrays import read_safetensors
+from kinetix_dist.checkpoint.arrays import SafetensorsError, read_safetensors
 from kinetix_dist.cli.main import main
 from kinetix_dist.config import TrainConfig
 from kinetix_dist.curator.config import CurriculumConfig
@@ -176,6 +176,54 @@ def test_a_file_that_is_no_safetensors_file_ends_the_command(
 ) -> None:
     (tmp_path / "model.safetensors").write_bytes(content)
     _refused(tmp_path / "model.safetensors", tmp_path, message, capsys)
+
+
+UNREADABLE = "the entry of a cannot be read"
+
+
+@pytest.mark.parametrize(
+    ("shape", "offsets", "message"),
+    [
+        ([2**62, 0], [0, 0], "a has a shape that no array has"),
+        ([1] * 65, [0, 4], "a has a shape that no array has"),
+        ([1], [0.0, 4.0], UNREADABLE),
+        ([1], [False, 4], UNREADABLE),
+        ([1.5], [0, 4], UNREADABLE),
+        ([True], [0, 4], UNREADABLE),
+        (["1"], [0, 4], UNREADABLE),
+        ("1", [0, 4], UNREADABLE),
+        (1, [0, 4], UNREADABLE),
+        ([-1], [0, 4], "does not lie in bytes 0 to 4"),
+        ([1], [0, 8], "does not lie in bytes 0 to 8"),
+        ([1], [0, 2**62], "does not lie in bytes"),
+        ([1], [0], UNREADABLE),
+    ],
+)
+def test_a_shape_or_an_offset_that_no_array_has_ends_the_command(
+    shape: object, offsets: object, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = _safetensors(tmp_path, {"a": {"dtype": "F32", "shape": shape, "data_offsets": offsets}})
+    _refused(source, tmp_path, message, capsys)
+
+
+def test_names_of_tensors_are_shown_short_and_printable(tmp_path: Path) -> None:
+    name = "\x1b[2J" + "x" * 100_000
+    good = {"dtype": "F32", "shape": [1], "data_offsets": [0, 4]}
+    changes = ({"dtype": name}, {"shape": [1] * 100_000}, {"shape": [2] * 1_000}, {"data_offsets": None})
+    for number, change in enumerate(changes):
+        source = _safetensors(tmp_path / str(number), {name: good | change})
+        with pytest.raises(SafetensorsError) as caught:
+            read_safetensors(source)
+        assert str(caught.value).isprintable() and len(str(caught.value)) < 600
+
+
+def _safetensors(folder: Path, header: dict) -> Path:
+    """Write a file with this header and four bytes of data; return its path."""
+    content = json.dumps(header).encode()
+    folder.mkdir(exist_ok=True)
+    path = folder / "model.safetensors"
+    path.write_bytes(len(content).to_bytes(8, "little") + content + bytes(4))
+    return path
 
 
 def test_a_file_that_is_cut_ends_the_command(

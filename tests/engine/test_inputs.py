@@ -342,7 +342,7 @@ def test_a_start_that_does_not_fit_its_scene_is_refused():
         ({"max_speed": 0.0}, "max_speed is 0.0; nothing would move"),
         ({"contact_hertz": 0}, "contact_hertz is 0; contacts would hold nothing apart"),
         ({"substeps": 2.5}, "substeps is 2.5; it must be a whole number"),
-        ({"substeps": 0}, "substeps is 0; at least 1 is needed"),
+        ({"substeps": 0}, "substeps is 0; it must be from 1 to 1000"),
         ({"solver": "sequential_impulses", "solver_batch_size": 16.0}, "solver_batch_size is 16.0; it must be a whole"),
         (
             {"substeps": 1},

@@ -483,7 +483,11 @@ BAD_REQUESTS: dict[str, tuple[str, dict[str, Any], str]] = {
         {"level": {"document": document()}, "env": {"reward": "x"}},
         "env: EnvConfig.reward is 'x'; choose one of dense, sparse, shaped",
     ),
-    "no steps": ("play.open", {"level": {"document": document()}, "env": {"max_steps": 0}}, "it must be 1 or more"),
+    "no steps": (
+        "play.open",
+        {"level": {"document": document()}, "env": {"max_steps": 0}},
+        "it must be from 1 to 1000000",
+    ),
     "steps of text": ("play.open", {"level": {"document": document()}, "env": {"max_steps": "9"}}, "give a number"),
     "negative seed": ("play.open", {"level": {"document": document()}, "seed": -1}, "seed is -1"),
     "not running": ("play.open", {"level": {"document": document()}, "running": 1}, "true or false"),

@@ -139,7 +139,7 @@ def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter
             _set_aside(bad.path, reporter)
         return checkpoint
     try:
-        theirs = from_dict(checkpoint.description["config"])
+        theirs = from_dict(checkpoint.config)
     except ConfigError as error:
         raise CheckpointError(f"checkpoint {checkpoint.path} cannot be resumed: {error}") from error
     if fields := differences(config, theirs):
@@ -151,7 +151,7 @@ def newest_checkpoint(run: RunDirectory, config: TrainConfig, reporter: Reporter
 
 
 def _has_same_numbers(config: TrainConfig, checkpoint: Checkpoint) -> bool:
-    return has_same_numbers(config, checkpoint.description["config"], checkpoint.description["config_hash"])
+    return has_same_numbers(config, checkpoint.config, checkpoint.description.get("config_hash", ""))
 
 
 def _set_aside(path: Path, reporter: Reporter) -> None:
@@ -216,7 +216,7 @@ def starting_point(config: TrainConfig) -> Start:
     checkpoint = load_checkpoint(path)
     if not config.run.start_other_engine:
         _check_engine(checkpoint, config.env)
-    ours, theirs = config.policy, from_dict_for_playing(checkpoint.description["config"]).policy
+    ours, theirs = config.policy, from_dict_for_playing(checkpoint.config).policy
     have_layers = NETWORKS[ours.network].has_attention and NETWORKS[theirs.network].has_attention
     is_deeper = have_layers and ours.num_layers > theirs.num_layers
     if have_layers and ours.num_layers < theirs.num_layers:
@@ -257,13 +257,15 @@ def starting_point(config: TrainConfig) -> Start:
 def lineage_from(checkpoint: Checkpoint) -> tuple[Mapping[str, Any], ...]:
     """Lineage of what starts from this checkpoint: its own ancestors, then itself."""
     description = checkpoint.description
-    itself = {"checkpoint": str(checkpoint.path), "recipe": description["config"]["run"]["name"]}
+    itself = {"checkpoint": str(checkpoint.path)}
+    if "run" in checkpoint.config:
+        itself["recipe"] = checkpoint.config["run"]["name"]
     itself |= {name: description[name] for name in _INHERITED if name in description}
     return (*description.get(LINEAGE, ()), itself)
 
 
 def _check_engine(checkpoint: Checkpoint, env: EnvConfig) -> None:
-    theirs = from_dict_for_playing(checkpoint.description["config"]).env
+    theirs = from_dict_for_playing(checkpoint.config).env
     ours = {"frame_skip": env.frame_skip} | dataclasses.asdict(env.physics)
     learned = {"frame_skip": theirs.frame_skip} | dataclasses.asdict(theirs.physics)
     if differs := [f"{name} {learned[name]} instead of {ours[name]}" for name in ours if ours[name] != learned[name]]:
