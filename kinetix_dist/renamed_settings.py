@@ -15,9 +15,6 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from kinetix_dist.errors import quoted
-from kinetix_dist.setting import ConfigError
-
 # Path of a field or section before -> path now.
 RENAMED: dict[str, str] = {
     "curriculum.generator.locomotion_share": "curriculum.generator.mechanism_share",
@@ -100,7 +97,9 @@ class RenamedSettingError(ValueError):
 def translated(data: Mapping[str, Any], *, for_playing: bool = False) -> dict[str, Any]:
     """Stored configuration with today's names. for_playing: without settings of training that are gone.
 
-    Raises RenamedSettingError for one of these otherwise, where it was in use.
+    Raises:
+        RenamedSettingError: A setting of training is gone, was in use, and `for_playing` is False.
+        ValueError: A field is within a value that is no section.
     """
     nested: dict[str, Any] = {}
     for path, value in _translated_leaves(data, "", "", for_playing):
@@ -109,7 +108,7 @@ def translated(data: Mapping[str, Any], *, for_playing: bool = False) -> dict[st
         for section in sections:
             place = place.setdefault(section, {})
             if not isinstance(place, dict):
-                raise ConfigError(f"config field {quoted(path)} is within {section!r}, which is no section")
+                raise ValueError(f"config field {path!r} is within {section!r}, which is no section")
         place[field] = value
     return nested
 
@@ -162,9 +161,7 @@ def _translated_leaves(data: Mapping[str, Any], before: str, now: str, for_playi
         old, path = _join(before, name), RENAMED.get(_join(before, name), _join(now, name))
         if removed := REMOVED.get(old):
             if not for_playing and removed.off is not None and value not in removed.off:
-                raise RenamedSettingError(
-                    f"{old} is {quoted(value)}, but this setting is gone: {removed.why}; {_NEW_RUN}"
-                )
+                raise RenamedSettingError(f"{old} is {value!r}, but this setting is gone: {removed.why}; {_NEW_RUN}")
         elif isinstance(value, Mapping) and value:
             yield from _translated_leaves(value, old, path, for_playing)
         elif path == "phases" and isinstance(value, list | tuple):
@@ -191,7 +188,7 @@ def _translated_value(path: str, value: Any, for_playing: bool) -> Any:
     if _is_key((path, value), REMOVED_VALUES):
         instead, why = REMOVED_VALUES[path, value]
         if not for_playing:
-            raise RenamedSettingError(f"{path} is {quoted(value)}, which is gone: {why}; {_NEW_RUN}")
+            raise RenamedSettingError(f"{path} is {value!r}, which is gone: {why}; {_NEW_RUN}")
         return instead
     return RENAMED_VALUES[path, value] if _is_key((path, value), RENAMED_VALUES) else value
 

@@ -20,8 +20,14 @@ def to_dict(config: Any) -> dict[str, Any]:
 
 
 def build(kind: Any, data: Any, where: str = "") -> Any:
-    """A value of a field of type `kind`, a config dataclass say, from types of JSON or TOML. Raises ConfigError for a
-    field that is unknown, missing or of another type; `where` is its name."""
+    """Return the value of a field of type `kind`, such as a config dataclass, from types of JSON or TOML.
+
+    Args:
+        where: Name of the field, for complaints.
+
+    Raises:
+        ConfigError: A field is unknown, missing, of another type or outside its limits.
+    """
     if dataclasses.is_dataclass(kind):
         if not isinstance(data, Mapping):
             raise ConfigError(f"config field {where or 'top level'} is {quoted(data)}; an object is needed")

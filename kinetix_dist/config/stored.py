@@ -96,3 +96,5 @@ def _with_todays_names(data: Mapping[str, Any], *, for_playing: bool) -> dict[st
         return translated(data, for_playing=for_playing)
     except RenamedSettingError as error:
         raise ConfigError(f"this config is of an older version: {error}") from error
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
