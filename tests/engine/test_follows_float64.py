@@ -197,8 +197,11 @@ def test_trees_that_are_welded_gain_no_energy():
 
 def test_angles_wrap_alike_and_float64_loses_nothing():
     disc, seconds = CAPACITY.polygons, 4
-    kernel, exact = both(wheel(45.0, -100.0, CAPACITY), 60 * seconds)
+    world = wheel(45.0, -100.0, CAPACITY)
+    start = float(world.angle[disc])
+    assert math.remainder(start + 100.0, math.tau) == pytest.approx(0, abs=6e-8)  # float32, within half a turn
+    kernel, exact = both(world, 60 * seconds)
     angle = float(exact.end.angle[disc])
     assert abs(angle) <= math.pi
-    assert math.remainder(angle - (45.0 * seconds - 100.0), math.tau) == pytest.approx(0, abs=1e-10)
+    assert math.remainder(angle - (45.0 * seconds + start), math.tau) == pytest.approx(0, abs=1e-10)
     assert math.remainder(float(kernel.end.angle[disc]) - angle, math.tau) == pytest.approx(0, abs=3e-5)

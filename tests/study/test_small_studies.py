@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from kinetix_dist.cli.main import main
+from kinetix_dist.study.library import find_study
 from kinetix_dist.study.plan import plan_of
 from kinetix_dist.sweep import run_loop
 from tests.study.studies import OF_COMMANDS, OF_TRAINING, training_study
@@ -89,7 +90,7 @@ def test_the_learnability_of_chosen_levels_is_written_and_said():
 def test_a_study_of_commands_runs_them_and_draws_what_they_wrote(study, capsys):
     assert main(["study", study, "--small"]) == 0
     said = capsys.readouterr().out
-    small = training_study(study).as_small
+    small = find_study(study).as_small
     assert f"{len(small.arms)} of {len(small.arms)} runs" in said
     path = Path("runs/studies") / f"{study}_small"
     with (path / f"{study}_small.csv").open() as file:
