@@ -191,5 +191,5 @@ def test_only_the_reference_and_only_sequential_impulses_solve_in_batches() -> N
         Engine(SIZES["s"], settings=preset("paper").replace(solver_batch_size=16))
     with pytest.raises(ValueError, match="soft_step"):
         preset("standard").replace(solver_batch_size=16)
-    with pytest.raises(ValueError, match="at least 1"):
+    with pytest.raises(ValueError, match="from 1 to"):
         preset("paper").replace(solver_batch_size=0)

@@ -95,8 +95,8 @@ def test_a_pipe_in_the_folder_is_refused_at_once(servers: list[Server], levels: 
         (levels / "pipe.json").unlink()
 
 
-def test_a_save_into_a_folder_that_is_missing_names_the_folder(servers: list[Server]) -> None:
+def test_a_save_into_a_folder_that_is_missing_names_the_file_of_the_request(servers: list[Server]) -> None:
     status, _, body = servers[0].request(
         "/api/files/nowhere/a.json", method="PUT", headers={"If-None-Match": "*"}, body=b"{}"
     )
-    assert status == 400 and "there is no folder nowhere here" in body.decode()
+    assert status == 404 and "there is no file nowhere/a.json" in body.decode()

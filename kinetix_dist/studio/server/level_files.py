@@ -7,6 +7,7 @@ changed since stays as it is, also if two pages or two servers save at once. Sav
 from __future__ import annotations
 
 import dataclasses
+import errno
 import hashlib
 from pathlib import Path
 
@@ -102,7 +103,7 @@ class LevelFiles:
         if path.exists() and not path.is_file():  # reading a pipe would wait for ever
             raise FileNameError(f"{name} is not a regular file")
         if not path.parent.is_dir():
-            raise FileNameError(f"{name}: there is no folder {path.parent.name} here; make it first")
+            raise FileNotFoundError(errno.ENOENT, "its folder is missing", name)
         return path
 
     def _is_name(self, name: str) -> bool:
